@@ -25,7 +25,7 @@ from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.launch import read_config, resolve_seed
 from isaacgymenvs_lite.config.train_params import ISAAC_LAB_ACTIONS
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
-from isaacgymenvs_lite.motion.formats.deepmimic_package import is_package_name
+from isaacgymenvs_lite.motion.formats.deepmimic import is_package_name
 from isaacgymenvs_lite.motion.loader import (
     resolve_motion_file,
     shipped_motions_dir,

@@ -27,7 +27,7 @@ from isaacgymenvs_lite.checkpoints.run_config import (
 )
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies, shipped_policies_dir
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, MotionFileError
-from isaacgymenvs_lite.motion.formats.deepmimic_package import (
+from isaacgymenvs_lite.motion.formats.deepmimic import (
     PREFIX,
     find_in_package,
     is_package_name,

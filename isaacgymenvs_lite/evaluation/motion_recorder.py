@@ -9,10 +9,9 @@ from torch import Tensor
 
 from isaacgymenvs_lite.env_interface import ReferenceEnv
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.clip import JointClip, MotionClip
 from isaacgymenvs_lite.motion.formats.npz import save_npz
-from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
-from isaacgymenvs_lite.motion.joint_clip import JointClip
+from isaacgymenvs_lite.motion.formats.robot_clip import save_robot_npz
 from isaacgymenvs_lite.motion.kinematics import FloatArray, local_rotations
 from isaacgymenvs_lite.paths import user_path
 

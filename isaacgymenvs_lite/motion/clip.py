@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+import torch
 
-from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.errors import MotionFileError, listed
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.utils import rotations
 
 MIN_FPS, MAX_FPS = 0.1, 10_000.0
 MAX_PLACE_M = 10_000.0
@@ -262,3 +267,250 @@ def check_size(name: str, key: str, largest: float, limit: float, unit: str) -> 
             f"{name}: {key} has {largest:.4g} {unit}, expected at most {limit:g} {unit}; is its "
             "unit another one?"
         )
+
+
+_log = logging.getLogger(__name__)
+
+QuatOrder = Literal["xyzw", "wxyz"]
+QUAT_ORDERS: tuple[QuatOrder, ...] = ("xyzw", "wxyz")
+# What no robot does, and what is reported only: G1's fastest joints reach 37 rad/s.
+_ODD_JOINT_SPEED_RAD_S, _ODD_ROOT_SPEED_M_S = 60.0, 15.0
+_ODD_JOINT_RAD, _ODD_HEIGHT_M = 10.0, 20.0
+# Beyond a joint's limits: what no file in radians has.
+_MAX_EXCESS_RAD = 2.0 * np.pi
+# A root is upright where its upward axis, by default z, is within 60 degrees of the world's.
+_UPRIGHT_COSINE = 0.5
+UP: tuple[float, ...] = (0.0, 0.0, 1.0)
+_HAND_WORDS = {"hand", "finger", "thumb", "index", "middle", "ring", "pinky", "little", "gripper"}
+_SUFFIX = re.compile(r"(_joint|_dof)+$")
+
+
+@dataclass(frozen=True, eq=False)
+class JointClip:
+    """T >= 2 frames of a robot with D joint coordinates; z up, quaternions xyzw.
+
+    Attributes:
+        name: the source of the clip, its path.
+        fps: frames per second.
+        root_pos: (T, 3) m, world position of the root body.
+        root_rot: (T, 4) xyzw, rotation of the root body to the world.
+        dof_pos: (T, D) rad, angles of hinges, and rotation vectors of ball joints.
+        joint_names: D names, or None where the file has none.
+        file_quat_order: the order in which the quaternions of the file were read; None: it holds
+            other rotations.
+    """
+
+    name: str
+    fps: float
+    root_pos: FloatArray
+    root_rot: FloatArray
+    dof_pos: FloatArray
+    joint_names: tuple[str, ...] | None = None
+    file_quat_order: QuatOrder | None = "xyzw"
+
+    @property
+    def num_frames(self) -> int:
+        """The number of frames T."""
+        return len(self.dof_pos)
+
+    @property
+    def num_dofs(self) -> int:
+        """The number of joint coordinates D."""
+        return int(np.shape(self.dof_pos)[1])
+
+    def validate(self) -> None:
+        """Check that the clip can be used.
+
+        Raises:
+            MotionFileError: arrays that do not fit together, fewer than two frames, NaN or
+                infinity, quaternions that are not of unit length (1e-3), names that are not unique;
+                a frame rate, place, angle or speed that no motion has.
+        """
+        self._check_shapes()
+        check_fps(self.name, self.fps)
+        for key in ("root_pos", "root_rot", "dof_pos"):
+            check_finite(self.name, key, getattr(self, key))
+        for what, largest, limit, unit in (
+            ("root_pos", np.abs(self.root_pos).max(), MAX_PLACE_M, "m"),
+            ("dof_pos", np.abs(self.dof_pos).max(), MAX_JOINT_RAD, "rad"),
+            ("the root's speed", self._root_speed().max(), MAX_SPEED_M_S, "m/s"),
+            ("a joint's speed", self._joint_speed().max(), MAX_SPEED_RAD_S, "rad/s"),
+        ):
+            check_size(self.name, what, float(largest), limit, unit)
+        deviation = np.abs(np.linalg.norm(self.root_rot, axis=-1) - 1.0)
+        if deviation.max() > UNIT_TOLERANCE:
+            raise MotionFileError(
+                f"{self.name}: root_rot of frame {int(deviation.argmax())} is no unit quaternion "
+                f"(length off by {deviation.max():.3g}, allowed {UNIT_TOLERANCE:g})"
+            )
+
+    def _check_shapes(self) -> None:
+        if np.ndim(self.dof_pos) != 2 or self.num_frames < 2 or self.num_dofs < 1:
+            raise MotionFileError(
+                f"{self.name}: dof_pos has shape {np.shape(self.dof_pos)}, expected (frames, "
+                "joints), at least 2 frames and 1 joint"
+            )
+        frames, dofs = self.num_frames, self.num_dofs
+        for key, width in (("root_pos", 3), ("root_rot", 4)):
+            found = np.shape(getattr(self, key))
+            if found != (frames, width):
+                raise MotionFileError(
+                    f"{self.name}: {key} has shape {found}, expected {(frames, width)} for "
+                    f"{frames} frames of dof_pos"
+                )
+        names = self.joint_names
+        if names is not None and (len(names) != dofs or len(set(names)) != dofs):
+            raise MotionFileError(
+                f"{self.name}: has {len(names)} names of joints ({len(set(names))} different "
+                f"ones), expected one for each of {dofs} columns"
+            )
+
+    def _root_speed(self) -> FloatArray:
+        """Return the root's speed (T-1) in m/s."""
+        return np.linalg.norm(np.diff(self.root_pos.astype(np.float64), axis=0), axis=-1) * self.fps
+
+    def _joint_speed(self) -> FloatArray:
+        """Return the joints' speeds (T-1, D) in rad/s."""
+        return np.abs(np.diff(self.dof_pos.astype(np.float64), axis=0)) * self.fps
+
+    def oddities(self, up_b: Sequence[float] = UP) -> list[str]:
+        """Return one line for each thing that few robots do: a wrong unit, rate or quaternion.
+
+        Args:
+            up_b: (3,) the upward direction in the frame of a root that is upright.
+        """
+        found = []
+        lying = 1.0 - _upright_share(self.root_rot, up_b)
+        if lying > 0.5:
+            text = f"the root lies on its side or upside down in {lying:.0%} of the frames"
+            for order in QUAT_ORDERS if self.file_quat_order else ():
+                if _upright_share(self.reread(order).root_rot, up_b) > 0.5:
+                    text += (
+                        f", but not if the quaternions of the file are {order}:"
+                        f" isaacgymenvs-lite convert reads them so with quat_order={order}"
+                    )
+            found.append(text)
+        root, speeds, angles = self._root_speed().max(), self._joint_speed(), np.abs(self.dof_pos)
+        height, check = np.abs(self.root_pos[:, 2]).max(), f"{self.fps:g} fps; check fps and units"
+        if root > _ODD_ROOT_SPEED_M_S:
+            found.append(f"the root moves at {root:.3g} m/s at {check}")
+        if speeds.max() > _ODD_JOINT_SPEED_RAD_S:
+            label = self._label(int(speeds.max(axis=0).argmax()))
+            found.append(f"{label} turns at {speeds.max():.3g} rad/s at {check}")
+        if angles.max() > _ODD_JOINT_RAD:
+            label = self._label(int(angles.max(axis=0).argmax()))
+            found.append(f"{label} is at {angles.max():.3g} rad; is the unit degrees?")
+        if height > _ODD_HEIGHT_M:
+            found.append(f"the root is {height:.3g} m high; is the unit cm?")
+        return found
+
+    def _label(self, joint: int) -> str:
+        return self.joint_names[joint] if self.joint_names else f"joint {joint}"
+
+    def reread(self, quat_order: QuatOrder) -> JointClip:
+        """Return the clip with the quaternions of its file read in this order.
+
+        Raises:
+            MotionFileError: the file holds other rotations.
+        """
+        if self.file_quat_order is None:
+            raise MotionFileError(
+                f"{self.name}: holds no quaternions, so that quat_order={quat_order} has no"
+                " meaning; leave it out"
+            )
+        if quat_order == self.file_quat_order:
+            return self
+        quaternions = torch.from_numpy(np.ascontiguousarray(self.root_rot))
+        is_wxyz = quat_order == "wxyz"
+        rotation = (rotations.xyzw_from_wxyz if is_wxyz else rotations.wxyz_from_xyzw)(quaternions)
+        return dataclasses.replace(self, root_rot=rotation.numpy(), file_quat_order=quat_order)
+
+    def fitted_to(
+        self, joint_names: Sequence[str], by_order: bool = False, followers: Sequence[str] = ()
+    ) -> JointClip:
+        """Return the clip with the joints of a robot in its order.
+
+        Names count where the file has them; an ending `_joint` or `_dof` may be missing on one
+        side. Joints of hands that only the file has are dropped; those that only the robot has
+        stay at 0 rad. Both are logged. Without names the order and the number of joints count.
+
+        Args:
+            joint_names: of the robot's joint coordinates, in its order.
+            by_order: ignore the names of the file.
+            followers: the joints whose angles follow from other joints; the file may leave
+                them out, and they are NaN then.
+
+        Raises:
+            MotionFileError: other joints are missing or extra, or the number differs.
+        """
+        names = tuple(joint_names)
+        if self.joint_names is None or by_order:
+            leaders = tuple(name for name in names if name not in followers)
+            if self.num_dofs not in (len(names), len(leaders)):
+                raise MotionFileError(
+                    f"{self.name}: has {self.num_dofs} joints without names, the robot has "
+                    f"{len(names)} ({listed(names)}); give a clip of this robot"
+                )
+            own = names if self.num_dofs == len(names) else leaders
+            return dataclasses.replace(self, joint_names=own).fitted_to(names, False, followers)
+        ours = {name: i for i, name in enumerate(_comparable(self.joint_names, names))}
+        theirs = _comparable(names, self.joint_names)
+        absent = [i for i, name in enumerate(theirs) if name not in ours]
+        following = [i for i in absent if names[i] in followers]
+        missing = [theirs[i] for i in absent if i not in following]
+        extra = [name for name in ours if name not in set(theirs)]
+        if not all(map(_is_of_hand, (*missing, *extra))):
+            raise MotionFileError(
+                f"{self.name}: its joints are not the robot's; only the robot has "
+                f"{listed(missing)}; only the file has {listed(extra)}"
+                + ("; by_order=True ignores names" if self.num_dofs == len(names) else "")
+            )
+        for what, joints in (("drops", extra), ("leaves at 0 rad", missing)):
+            if joints:
+                _log.info("%s: %s the joints of hands %s", self.name, what, listed(joints))
+        dof_pos = np.zeros((self.num_frames, len(names)), dtype=self.dof_pos.dtype)
+        dof_pos[:, following] = np.nan
+        for column, name in enumerate(theirs):
+            if name in ours:
+                dof_pos[:, column] = self.dof_pos[:, ours[name]]
+        return dataclasses.replace(self, dof_pos=dof_pos, joint_names=names)
+
+    def check_limits(self, dof_limits: FloatArray) -> None:
+        """Check that the joints are in rad, by the limits (D, 2) rad of a robot, in its order.
+
+        Smaller excesses are `plausibility`'s.
+
+        Raises:
+            MotionFileError: a joint is so far beyond its limits that its unit is another one.
+        """
+        excess_rad = np.maximum(dof_limits[:, 0] - self.dof_pos, self.dof_pos - dof_limits[:, 1])
+        of_joints_rad = np.fmax.reduce(excess_rad)  # without NaN, see `fitted_to`
+        joint = int(np.nanargmax(of_joints_rad))
+        worst_rad = float(of_joints_rad[joint])
+        if worst_rad <= _MAX_EXCESS_RAD:
+            return
+        low, high = dof_limits[joint]
+        raise MotionFileError(
+            f"{self.name}: {self._label(joint)} leaves its limits ({low:.3g} to {high:.3g} rad) by"
+            f" up to {worst_rad:.3g} rad; is the unit degrees?"
+        )
+
+
+def _upright_share(root_rot: FloatArray, up_b: Sequence[float]) -> float:
+    """Return the share of rotations (T, 4) that turn `up_b` (3,) within 60 degrees of z."""
+    turns = torch.from_numpy(np.ascontiguousarray(root_rot, dtype=np.float64))
+    up = torch.tensor(up_b, dtype=torch.float64).expand(len(turns), 3)
+    up_w = rotations.quat_apply(turns, up)
+    return float((up_w[:, 2] > _UPRIGHT_COSINE).double().mean())
+
+
+def _comparable(names: Sequence[str], others: Sequence[str]) -> list[str]:
+    """Return the names without endings, unless two of one side would become the same."""
+    short = [_SUFFIX.sub("", name) for name in names]
+    other_short = {_SUFFIX.sub("", name) for name in others}
+    unique = len(set(short)) == len(names) and len(other_short) == len(others)
+    return short if unique else list(names)
+
+
+def _is_of_hand(name: str) -> bool:
+    return not _HAND_WORDS.isdisjoint(name.lower().split("_"))

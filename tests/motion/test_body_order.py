@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.errors import MotionFileError
-from isaacgymenvs_lite.motion.body_order import fit_to_skeleton
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.loader import fit_to_skeleton
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 
 LEFT_LEG_FIRST = [*range(9), 12, 13, 14, 9, 10, 11]

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from isaacgymenvs_lite.errors import MotionFileError
-from isaacgymenvs_lite.motion.dataset import DatasetEntry, read_dataset
+from isaacgymenvs_lite.motion.loader import DatasetEntry, read_dataset
 
 
 def test_entries_come_in_order(tmp_path: Path) -> None:

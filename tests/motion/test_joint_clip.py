@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.errors import MotionFileError
-from isaacgymenvs_lite.motion.joint_clip import JointClip
+from isaacgymenvs_lite.motion.clip import JointClip
 
 
 def clip_of(names, num_dofs=None):

@@ -15,13 +15,13 @@ import torch
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
-from isaacgymenvs_lite.motion.body_order import fit_to_skeleton
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.convert import joints_of_clip
 from isaacgymenvs_lite.motion.editing import cut, resample
+from isaacgymenvs_lite.motion.formats.joint_csv import save_robot_csv
 from isaacgymenvs_lite.motion.formats.npz import load_npz, save_npz
 from isaacgymenvs_lite.motion.formats.poselib import save_poselib_npy
-from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
-from isaacgymenvs_lite.motion.loader import load_single_clip
+from isaacgymenvs_lite.motion.loader import fit_to_skeleton, load_single_clip
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.motion.qpos import (
     clip_from_qpos,
@@ -31,7 +31,6 @@ from isaacgymenvs_lite.motion.qpos import (
     qpos_from_clip,
     rotations_from_dofs,
 )
-from isaacgymenvs_lite.motion.robot_clips import joints_of_clip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.robots.load import load_robot
 from isaacgymenvs_lite.utils import rotations

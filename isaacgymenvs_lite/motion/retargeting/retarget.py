@@ -18,14 +18,23 @@ from isaacgymenvs_lite.motion.editing import cut, resample
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import dofs_of_clip, poses_from_qpos
 from isaacgymenvs_lite.motion.retargeting.bvh import read_bvh
-from isaacgymenvs_lite.motion.retargeting.contacts import Flags, onto_ground, replanted
-from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
-from isaacgymenvs_lite.motion.retargeting.mapping_fit import check_fit
+from isaacgymenvs_lite.motion.retargeting.mapping_choice import check_fit
 from isaacgymenvs_lite.motion.retargeting.robot import Robot, body_poses, robot_problem
 from isaacgymenvs_lite.motion.retargeting.solve import IkProblem, humanoid_problem, solve_poses
-from isaacgymenvs_lite.motion.retargeting.source import FEET, SourceMotion, source_from_bvh
-from isaacgymenvs_lite.motion.retargeting.targets import Targets, make_targets
+from isaacgymenvs_lite.motion.retargeting.source import (
+    FEET,
+    SourceMotion,
+    humanoid_figure,
+    source_from_bvh,
+)
+from isaacgymenvs_lite.motion.retargeting.targets import (
+    Flags,
+    Targets,
+    make_targets,
+    onto_ground,
+    replanted,
+)
 from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
 
 _log = logging.getLogger(__name__)

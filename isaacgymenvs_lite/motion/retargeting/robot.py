@@ -15,9 +15,7 @@ import torch
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.motion.editing import interpolate_rotations
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.retargeting.figure import Figure, Sole, find_sole, round_bodies
-from isaacgymenvs_lite.motion.retargeting.limbs import body_poses, find_bend
-from isaacgymenvs_lite.motion.retargeting.robot_mapping import RobotMapping
+from isaacgymenvs_lite.motion.retargeting.robot_mapping import RobotMapping, body_poses, find_bend
 from isaacgymenvs_lite.motion.retargeting.solve import (
     FIRST_BEND_RAD,
     LEAST_BEND_RAD,
@@ -25,7 +23,16 @@ from isaacgymenvs_lite.motion.retargeting.solve import (
     JointLimits,
     body_goals,
 )
-from isaacgymenvs_lite.motion.retargeting.source import FEET, SIDES, leg_length, rotated_in_body
+from isaacgymenvs_lite.motion.retargeting.source import (
+    FEET,
+    SIDES,
+    Figure,
+    Sole,
+    find_sole,
+    leg_length,
+    rotated_in_body,
+    round_bodies,
+)
 from isaacgymenvs_lite.motion.retargeting.targets import Targets
 from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.errors import MotionFileError
-from isaacgymenvs_lite.motion.formats.deepmimic_package import find_in_package
+from isaacgymenvs_lite.motion.formats.deepmimic import find_in_package
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from tests.packages import needs

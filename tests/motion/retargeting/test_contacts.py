@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from isaacgymenvs_lite.motion.retargeting.contacts import (
+from isaacgymenvs_lite.motion.retargeting.source import Sole
+from isaacgymenvs_lite.motion.retargeting.targets import (
     find_contacts,
     onto_ground,
     pin_feet,
     replanted,
 )
-from isaacgymenvs_lite.motion.retargeting.figure import Sole
 
 FPS = 60.0
 SOLE = Sole(np.array([[x, y, -0.05] for x in (-0.1, 0.1) for y in (-0.04, 0.04)]), np.zeros(4))

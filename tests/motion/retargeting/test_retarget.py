@@ -11,7 +11,6 @@ import pytest
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.qpos import dofs_from_rotations
-from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
 from isaacgymenvs_lite.motion.retargeting.retarget import (
     KEY_BODIES,
@@ -19,6 +18,7 @@ from isaacgymenvs_lite.motion.retargeting.retarget import (
     load_bvh_source,
     retarget_bvh,
 )
+from isaacgymenvs_lite.motion.retargeting.source import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.targets import make_targets
 from tests.packages import needs
 

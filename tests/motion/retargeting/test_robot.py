@@ -15,7 +15,6 @@ from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.editing import cut
 from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.retargeting.figure import find_sole
 from isaacgymenvs_lite.motion.retargeting.mapping_choice import recognise_robot
 from isaacgymenvs_lite.motion.retargeting.retarget import RobotMotion, retarget_to_robot
 from isaacgymenvs_lite.motion.retargeting.robot import Robot, robot_from_model
@@ -24,7 +23,7 @@ from isaacgymenvs_lite.motion.retargeting.robot_mapping import (
     load_robot_mapping,
     shipped_robot_mappings,
 )
-from isaacgymenvs_lite.motion.retargeting.source import source_from_clip
+from isaacgymenvs_lite.motion.retargeting.source import find_sole, source_from_clip
 from isaacgymenvs_lite.robots.load import load_robot
 from tests.packages import file_of_package
 

@@ -9,9 +9,8 @@ import pytest
 
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.retargeting.bvh import read_bvh
-from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
-from isaacgymenvs_lite.motion.retargeting.source import source_from_bvh
+from isaacgymenvs_lite.motion.retargeting.source import humanoid_figure, source_from_bvh
 from isaacgymenvs_lite.motion.retargeting.targets import make_targets
 
 
