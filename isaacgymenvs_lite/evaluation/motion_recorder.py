@@ -19,17 +19,10 @@ log = logging.getLogger(__name__)
 
 
 class MotionRecorder:
-    """Records the first episode of environment 0 of a task with reference motions.
+    """Records the first episode of environment 0 of a task with reference motions, as .npz.
 
     A humanoid's clip has the rotations of its bodies, a robot's the coordinates of its joints, as
     the clips that the command `convert` writes.
-
-    Args:
-        env: the task.
-        path: the .npz file to write.
-
-    Raises:
-        ConfigError: the task has no reference motions, or the file cannot be written.
     """
 
     def __init__(self, env: ReferenceEnv, path: str) -> None:

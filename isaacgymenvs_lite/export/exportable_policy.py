@@ -27,11 +27,7 @@ from isaacgymenvs_lite.learning.skills.low_level_policy import LowLevelPolicy, l
 class TensorSpec:
     """An input or an output of a graph: one tensor of n rows.
 
-    Attributes:
-        name: of the tensor.
-        shape: without n.
-        batch_axis: position of n in the shape.
-        dtype: of the tensor.
+    The shape leaves n out, which is at `batch_axis`.
     """
 
     name: str
@@ -81,11 +77,7 @@ class PolicyGraph(nn.Module):
 class _MeanActor(nn.Module):
     """Maps raw observations (n, O), and latents (n, Z) of skills, to mean actions (n, A).
 
-    Args:
-        model: an rl_games model with `norm_obs` and `a2c_network`.
-        low: (A,) limits of the actions.
-        high: (A,)
-        clip: whether actions are clamped to +-1 and mapped to the limits.
+    With `clip`, actions are clamped to +-1 and mapped to the limits `low` and `high` (A,).
     """
 
     def __init__(self, model: nn.Module, low: Tensor, high: Tensor, clip: bool) -> None:

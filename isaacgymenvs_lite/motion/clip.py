@@ -1,13 +1,17 @@
-"""A motion clip in memory: poses and velocities of one skeleton at a constant frame rate."""
+"""Motion clips in memory, at a constant frame rate: of bodies, and of a robot's joints.
+
+Files of robots' clips hold no bodies: they become a `JointClip`, whose joints are put into the
+order of a robot, and then a `MotionClip` by the robot's kinematics.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -17,15 +21,17 @@ from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.utils import rotations
 
-MIN_FPS, MAX_FPS = 0.1, 10_000.0
+_log = logging.getLogger(__name__)
+
+MIN_FPS, _MAX_FPS = 0.1, 10_000.0
 MAX_PLACE_M = 10_000.0
 """From the origin: beyond it single precision has steps of 1 mm."""
 _MAX_BONE_M = 10.0
-MAX_SPEED_M_S = 1_000.0
-MAX_SPEED_RAD_S = 100_000.0
+_MAX_SPEED_M_S = 1_000.0
+_MAX_SPEED_RAD_S = 100_000.0
 MAX_JOINT_RAD = 1_000.0  # 160 turns of a wheel's hinge
 # How far the length of a stored quaternion may be from 1.
-UNIT_TOLERANCE = 1e-3
+_UNIT_TOLERANCE = 1e-3
 # Fewer repeated pairs than this are a character at rest, not data stored twice.
 _MIN_REPEATED_PAIRS = 2
 # Array -> largest absolute value of a number in it, unit.
@@ -33,9 +39,21 @@ _LIMITS = {
     "root_translation": (MAX_PLACE_M, "m"),
     "local_translation": (_MAX_BONE_M, "m"),
     "dof_pos": (MAX_JOINT_RAD, "rad"),
-    "linear_velocity_w": (MAX_SPEED_M_S, "m/s"),
-    "angular_velocity_w": (MAX_SPEED_RAD_S, "rad/s"),
+    "linear_velocity_w": (_MAX_SPEED_M_S, "m/s"),
+    "angular_velocity_w": (_MAX_SPEED_RAD_S, "rad/s"),
 }
+QuatOrder = Literal["xyzw", "wxyz"]
+QUAT_ORDERS: tuple[QuatOrder, ...] = ("xyzw", "wxyz")
+# What no robot does, and what is reported only: G1's fastest joints reach 37 rad/s.
+_ODD_JOINT_SPEED_RAD_S, _ODD_ROOT_SPEED_M_S = 60.0, 15.0
+_ODD_JOINT_RAD, _ODD_HEIGHT_M = 10.0, 20.0
+# Beyond a joint's limits: what no file in radians has.
+_MAX_EXCESS_RAD = 2.0 * np.pi
+# A root is upright where its upward axis, by default z, is within 60 degrees of the world's.
+_UPRIGHT_COSINE = 0.5
+UP: tuple[float, ...] = (0.0, 0.0, 1.0)
+_HAND_WORDS = {"hand", "finger", "thumb", "index", "middle", "ring", "pinky", "little", "gripper"}
+_SUFFIX = re.compile(r"(_joint|_dof)+$")
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,29 +155,43 @@ class MotionClip:
         )
 
     def validate(self) -> None:
-        """Check that the clip can be used.
+        """Raise a MotionFileError for a clip that cannot be used.
 
-        Raises:
-            MotionFileError: arrays do not fit together, not one root, a child before its parent,
-                fewer than two frames, NaN or infinity, quaternions that are not of unit length
-                (1e-3); a frame rate, place, bone or speed that no motion has.
+        Arrays do not fit together, the tree has not one root or a child before its parent, there
+        are fewer than two frames, NaN or infinity, quaternions that are not of unit length (1e-3),
+        or a frame rate, place, bone or speed that no motion has.
         """
-        self._check_shapes()
+        frames, bodies = len(np.atleast_1d(self.local_rotation)), self.num_bodies
+        moving = (frames,) * (np.ndim(self.local_translation) == 3)
+        shapes = {
+            "parent_indices": (bodies,),
+            "local_translation": (*moving, bodies, 3),
+            "local_rotation": (frames, bodies, 4),
+            "root_translation": (frames, 3),
+            "linear_velocity_w": (frames, bodies, 3),
+            "angular_velocity_w": (frames, bodies, 3),
+        }
+        if self.dof_pos is not None:
+            shapes["dof_pos"] = (frames, np.shape(self.dof_pos)[-1])
+        _check_shapes(self, shapes, f"{frames} frames of {bodies} bodies")
         self._check_tree()
-        if self.num_frames < 2:
+        if frames < 2:
             raise MotionFileError(
-                f"{self.name}: holds {self.num_frames} frame(s), expected at least 2: "
+                f"{self.name}: holds {frames} frame(s), expected at least 2: "
                 "a single pose has no duration"
             )
-        check_fps(self.name, self.fps)
-        self._check_values()
+        _check_fps_and_finite(self, ["local_translation", *self.timed_arrays()])
+        self._check_sizes()
+        if (found := _not_unit(self.local_rotation)) is not None:
+            (frame, body), problem = found
+            raise MotionFileError(
+                f"{self.name}: the rotation of '{self.body_names[body]}' in frame {frame} {problem}"
+            )
 
     def find_repeated_frames(self) -> int | None:
-        """Find whether every pose is stored twice in a row.
+        """Return the first frame, 0 or 1, that its own copy follows if every pose is stored twice.
 
-        Returns:
-            The index, 0 or 1, of the first frame that is followed by its own copy (1: the clip
-            starts with the second of a pair), or None.
+        With 1 the clip starts with the second of a pair. None: poses are not stored twice.
         """
         same = (self.local_rotation[1:] == self.local_rotation[:-1]).all(axis=(1, 2))
         same &= (self.root_translation[1:] == self.root_translation[:-1]).all(axis=1)
@@ -172,10 +204,9 @@ class MotionClip:
         return None
 
     def drop_repeated_frames(self) -> MotionClip:
-        """Return the clip without the copies, at half the fps, if every pose is stored twice.
+        """Return the clip without copies, at half the fps, if every pose is stored twice.
 
-        Stored velocities are kept: they were smoothed over many frames and are correct. A clip
-        without copies is returned unchanged.
+        Stored velocities are kept: they were smoothed over many frames and are correct.
         """
         first = self.find_repeated_frames()
         if first is None:
@@ -185,26 +216,6 @@ class MotionClip:
             keep = np.concatenate(([0], keep))
         kept = {key: values[keep] for key, values in self.timed_arrays().items()}
         return dataclasses.replace(self, fps=self.fps / 2.0, **kept)
-
-    def _check_shapes(self) -> None:
-        frames, bodies = len(np.atleast_1d(self.local_rotation)), self.num_bodies
-        expected = {
-            "parent_indices": (bodies,),
-            "local_translation": (*(frames,) * (np.ndim(self.local_translation) == 3), bodies, 3),
-            "local_rotation": (frames, bodies, 4),
-            "root_translation": (frames, 3),
-            "linear_velocity_w": (frames, bodies, 3),
-            "angular_velocity_w": (frames, bodies, 3),
-        }
-        if self.dof_pos is not None:
-            expected["dof_pos"] = (frames, np.shape(self.dof_pos)[-1])
-        for key, shape in expected.items():
-            found = np.shape(getattr(self, key))
-            if found != shape:
-                raise MotionFileError(
-                    f"{self.name}: {key} has shape {found}, expected {shape} "
-                    f"for {frames} frames of {bodies} bodies"
-                )
 
     def _check_tree(self) -> None:
         roots = sum(parent < 0 for parent in self.parent_indices)
@@ -219,20 +230,6 @@ class MotionClip:
         if len(set(self.body_names)) != self.num_bodies:
             raise MotionFileError(f"{self.name}: body names are not unique: {self.body_names}")
 
-    def _check_values(self) -> None:
-        arrays = {"local_translation": self.local_translation, **self.timed_arrays()}
-        for key, values in arrays.items():
-            check_finite(self.name, key, values)
-        self._check_sizes()
-        deviation = np.abs(np.linalg.norm(self.local_rotation, axis=-1) - 1.0)
-        if deviation.max() > UNIT_TOLERANCE:
-            frame, body = (int(i) for i in np.unravel_index(deviation.argmax(), deviation.shape))
-            raise MotionFileError(
-                f"{self.name}: the rotation of '{self.body_names[body]}' in frame {frame} is no "
-                f"unit quaternion (length off by {deviation[frame, body]:.3g}, allowed "
-                f"{UNIT_TOLERANCE:g})"
-            )
-
     def _check_sizes(self) -> None:
         for key, (limit, unit) in _LIMITS.items():
             values = getattr(self, key)
@@ -240,27 +237,46 @@ class MotionClip:
                 continue
             # The root's own offset is not used.
             values = values[..., 1:, :] if key == "local_translation" else values
-            check_size(self.name, key, float(np.abs(values).max(initial=0.0)), limit, unit)
+            _check_size(self.name, key, float(np.abs(values).max(initial=0.0)), limit, unit)
 
 
-def check_fps(name: str, fps: float) -> None:
-    """Raise a MotionFileError for a frame rate that no motion has."""
-    if not MIN_FPS <= fps <= MAX_FPS:
-        raise MotionFileError(f"{name}: fps is {fps:g}, expected {MIN_FPS:g} to {MAX_FPS:g}")
+def _check_shapes(clip: MotionClip | JointClip, shapes: dict[str, Any], what: str) -> None:
+    """Raise a MotionFileError if an array has another shape than expected."""
+    for key, shape in shapes.items():
+        found = np.shape(getattr(clip, key))
+        if found != shape:
+            raise MotionFileError(
+                f"{clip.name}: {key} has shape {found}, expected {shape} for {what}"
+            )
 
 
-def check_finite(name: str, key: str, values: FloatArray) -> None:
-    """Raise a MotionFileError for NaN and infinity."""
-    finite = np.isfinite(values)
-    if not finite.all():
-        where = tuple(int(i) for i in np.argwhere(~finite)[0])
+def _check_fps_and_finite(clip: MotionClip | JointClip, keys: Iterable[str]) -> None:
+    """Raise a MotionFileError for a frame rate that no motion has, NaN and infinity."""
+    if not MIN_FPS <= clip.fps <= _MAX_FPS:
         raise MotionFileError(
-            f"{name}: {key} holds {np.count_nonzero(~finite)} number(s) that are NaN or infinite, "
-            f"the first at index {where}"
+            f"{clip.name}: fps is {clip.fps:g}, expected {MIN_FPS:g} to {_MAX_FPS:g}"
         )
+    for key in keys:
+        finite = np.isfinite(getattr(clip, key))
+        if not finite.all():
+            where = tuple(int(i) for i in np.argwhere(~finite)[0])
+            raise MotionFileError(
+                f"{clip.name}: {key} holds {np.count_nonzero(~finite)} number(s) that are NaN or"
+                f" infinite, the first at index {where}"
+            )
 
 
-def check_size(name: str, key: str, largest: float, limit: float, unit: str) -> None:
+def _not_unit(quaternions: FloatArray) -> tuple[tuple[int, ...], str] | None:
+    """Return where (..., 4) are farthest from unit length, and how far; None if all are near."""
+    deviation = np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0)
+    if deviation.max() <= _UNIT_TOLERANCE:
+        return None
+    where = tuple(int(i) for i in np.unravel_index(deviation.argmax(), deviation.shape))
+    off = f"length off by {deviation.max():.3g}, allowed {_UNIT_TOLERANCE:g}"
+    return where, f"is no unit quaternion ({off})"
+
+
+def _check_size(name: str, key: str, largest: float, limit: float, unit: str) -> None:
     """Raise a MotionFileError for a value that no motion has: a wrong unit, or a damaged file."""
     if largest > limit:
         raise MotionFileError(
@@ -269,43 +285,17 @@ def check_size(name: str, key: str, largest: float, limit: float, unit: str) -> 
         )
 
 
-_log = logging.getLogger(__name__)
-
-QuatOrder = Literal["xyzw", "wxyz"]
-QUAT_ORDERS: tuple[QuatOrder, ...] = ("xyzw", "wxyz")
-# What no robot does, and what is reported only: G1's fastest joints reach 37 rad/s.
-_ODD_JOINT_SPEED_RAD_S, _ODD_ROOT_SPEED_M_S = 60.0, 15.0
-_ODD_JOINT_RAD, _ODD_HEIGHT_M = 10.0, 20.0
-# Beyond a joint's limits: what no file in radians has.
-_MAX_EXCESS_RAD = 2.0 * np.pi
-# A root is upright where its upward axis, by default z, is within 60 degrees of the world's.
-_UPRIGHT_COSINE = 0.5
-UP: tuple[float, ...] = (0.0, 0.0, 1.0)
-_HAND_WORDS = {"hand", "finger", "thumb", "index", "middle", "ring", "pinky", "little", "gripper"}
-_SUFFIX = re.compile(r"(_joint|_dof)+$")
-
-
 @dataclass(frozen=True, eq=False)
 class JointClip:
-    """T >= 2 frames of a robot with D joint coordinates; z up, quaternions xyzw.
+    """T >= 2 frames of a robot with D joint coordinates; z up, quaternions xyzw."""
 
-    Attributes:
-        name: the source of the clip, its path.
-        fps: frames per second.
-        root_pos: (T, 3) m, world position of the root body.
-        root_rot: (T, 4) xyzw, rotation of the root body to the world.
-        dof_pos: (T, D) rad, angles of hinges, and rotation vectors of ball joints.
-        joint_names: D names, or None where the file has none.
-        file_quat_order: the order in which the quaternions of the file were read; None: it holds
-            other rotations.
-    """
-
-    name: str
-    fps: float
-    root_pos: FloatArray
-    root_rot: FloatArray
-    dof_pos: FloatArray
-    joint_names: tuple[str, ...] | None = None
+    name: str  # the source of the clip, its path
+    fps: float  # frames per second
+    root_pos: FloatArray  # (T, 3) m, world position of the root body
+    root_rot: FloatArray  # (T, 4) xyzw, rotation of the root body to the world
+    dof_pos: FloatArray  # (T, D) rad, angles of hinges, and rotation vectors of ball joints
+    joint_names: tuple[str, ...] | None = None  # D names, or None where the file has none
+    # The order in which the quaternions of the file were read; None: it holds other rotations.
     file_quat_order: QuatOrder | None = "xyzw"
 
     @property
@@ -319,51 +309,30 @@ class JointClip:
         return int(np.shape(self.dof_pos)[1])
 
     def validate(self) -> None:
-        """Check that the clip can be used.
-
-        Raises:
-            MotionFileError: arrays that do not fit together, fewer than two frames, NaN or
-                infinity, quaternions that are not of unit length (1e-3), names that are not unique;
-                a frame rate, place, angle or speed that no motion has.
-        """
-        self._check_shapes()
-        check_fps(self.name, self.fps)
-        for key in ("root_pos", "root_rot", "dof_pos"):
-            check_finite(self.name, key, getattr(self, key))
-        for what, largest, limit, unit in (
-            ("root_pos", np.abs(self.root_pos).max(), MAX_PLACE_M, "m"),
-            ("dof_pos", np.abs(self.dof_pos).max(), MAX_JOINT_RAD, "rad"),
-            ("the root's speed", self._root_speed().max(), MAX_SPEED_M_S, "m/s"),
-            ("a joint's speed", self._joint_speed().max(), MAX_SPEED_RAD_S, "rad/s"),
-        ):
-            check_size(self.name, what, float(largest), limit, unit)
-        deviation = np.abs(np.linalg.norm(self.root_rot, axis=-1) - 1.0)
-        if deviation.max() > UNIT_TOLERANCE:
-            raise MotionFileError(
-                f"{self.name}: root_rot of frame {int(deviation.argmax())} is no unit quaternion "
-                f"(length off by {deviation.max():.3g}, allowed {UNIT_TOLERANCE:g})"
-            )
-
-    def _check_shapes(self) -> None:
+        """Raise a MotionFileError for a clip that cannot be used, see `MotionClip.validate`."""
         if np.ndim(self.dof_pos) != 2 or self.num_frames < 2 or self.num_dofs < 1:
             raise MotionFileError(
                 f"{self.name}: dof_pos has shape {np.shape(self.dof_pos)}, expected (frames, "
                 "joints), at least 2 frames and 1 joint"
             )
-        frames, dofs = self.num_frames, self.num_dofs
-        for key, width in (("root_pos", 3), ("root_rot", 4)):
-            found = np.shape(getattr(self, key))
-            if found != (frames, width):
-                raise MotionFileError(
-                    f"{self.name}: {key} has shape {found}, expected {(frames, width)} for "
-                    f"{frames} frames of dof_pos"
-                )
-        names = self.joint_names
+        frames, dofs, names = self.num_frames, self.num_dofs, self.joint_names
+        shapes = {"root_pos": (frames, 3), "root_rot": (frames, 4)}
+        _check_shapes(self, shapes, f"{frames} frames of dof_pos")
         if names is not None and (len(names) != dofs or len(set(names)) != dofs):
             raise MotionFileError(
                 f"{self.name}: has {len(names)} names of joints ({len(set(names))} different "
                 f"ones), expected one for each of {dofs} columns"
             )
+        _check_fps_and_finite(self, ("root_pos", "root_rot", "dof_pos"))
+        for what, largest, limit, unit in (
+            ("root_pos", np.abs(self.root_pos).max(), MAX_PLACE_M, "m"),
+            ("dof_pos", np.abs(self.dof_pos).max(), MAX_JOINT_RAD, "rad"),
+            ("the root's speed", self._root_speed().max(), _MAX_SPEED_M_S, "m/s"),
+            ("a joint's speed", self._joint_speed().max(), _MAX_SPEED_RAD_S, "rad/s"),
+        ):
+            _check_size(self.name, what, float(largest), limit, unit)
+        if (found := _not_unit(self.root_rot)) is not None:
+            raise MotionFileError(f"{self.name}: root_rot of frame {found[0][0]} {found[1]}")
 
     def _root_speed(self) -> FloatArray:
         """Return the root's speed (T-1) in m/s."""
@@ -376,8 +345,7 @@ class JointClip:
     def oddities(self, up_b: Sequence[float] = UP) -> list[str]:
         """Return one line for each thing that few robots do: a wrong unit, rate or quaternion.
 
-        Args:
-            up_b: (3,) the upward direction in the frame of a root that is upright.
+        `up_b` (3,) is the upward direction in the frame of an upright root.
         """
         found = []
         lying = 1.0 - _upright_share(self.root_rot, up_b)
@@ -410,8 +378,7 @@ class JointClip:
     def reread(self, quat_order: QuatOrder) -> JointClip:
         """Return the clip with the quaternions of its file read in this order.
 
-        Raises:
-            MotionFileError: the file holds other rotations.
+        Raises MotionFileError if the file holds other rotations.
         """
         if self.file_quat_order is None:
             raise MotionFileError(
@@ -431,17 +398,12 @@ class JointClip:
         """Return the clip with the joints of a robot in its order.
 
         Names count where the file has them; an ending `_joint` or `_dof` may be missing on one
-        side. Joints of hands that only the file has are dropped; those that only the robot has
-        stay at 0 rad. Both are logged. Without names the order and the number of joints count.
+        side. Joints of hands that only the file has are dropped; those that only the robot has stay
+        at 0 rad. Both are logged. Without names, or `by_order`, the order and the number of joints
+        count. Angles of `followers`, which follow from other joints, are NaN if the file leaves
+        them out.
 
-        Args:
-            joint_names: of the robot's joint coordinates, in its order.
-            by_order: ignore the names of the file.
-            followers: the joints whose angles follow from other joints; the file may leave
-                them out, and they are NaN then.
-
-        Raises:
-            MotionFileError: other joints are missing or extra, or the number differs.
+        Raises MotionFileError if other joints are missing or extra, or the number differs.
         """
         names = tuple(joint_names)
         if self.joint_names is None or by_order:
@@ -476,12 +438,9 @@ class JointClip:
         return dataclasses.replace(self, dof_pos=dof_pos, joint_names=names)
 
     def check_limits(self, dof_limits: FloatArray) -> None:
-        """Check that the joints are in rad, by the limits (D, 2) rad of a robot, in its order.
+        """Raise a MotionFileError if joints exceed their limits so far that the unit is wrong.
 
-        Smaller excesses are `plausibility`'s.
-
-        Raises:
-            MotionFileError: a joint is so far beyond its limits that its unit is another one.
+        `dof_limits` (D, 2) rad are of a robot, in its order. Smaller excesses are `plausibility`'s.
         """
         excess_rad = np.maximum(dof_limits[:, 0] - self.dof_pos, self.dof_pos - dof_limits[:, 1])
         of_joints_rad = np.fmax.reduce(excess_rad)  # without NaN, see `fitted_to`

@@ -38,7 +38,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.motion.clip import QUAT_ORDERS, JointClip, MotionClip
+from isaacgymenvs_lite.motion.clip import QUAT_ORDERS, JointClip, MotionClip, QuatOrder
 from isaacgymenvs_lite.motion.editing import cut, resample
 from isaacgymenvs_lite.motion.formats.deepmimic import save_deepmimic
 from isaacgymenvs_lite.motion.formats.files import check_output
@@ -61,98 +61,15 @@ from isaacgymenvs_lite.motion.retargeting.retarget import (
     retarget_to_robot,
 )
 from isaacgymenvs_lite.motion.retargeting.robot import robot_from_model
-from isaacgymenvs_lite.motion.retargeting.robot_mapping import RobotMapping
-from isaacgymenvs_lite.motion.retargeting.source import SourceMotion, source_from_clip
-from isaacgymenvs_lite.motion.robot_file import ClipRobot, load_clip_robot, run_file_command
+from isaacgymenvs_lite.motion.retargeting.source import source_from_clip
+from isaacgymenvs_lite.motion.robot_file import load_clip_robot, run_file_command
 from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skeleton_for_num_dofs
 from isaacgymenvs_lite.robots.settings import RobotSettings
 from isaacgymenvs_lite.schema import setting
 
-_NO_JOINT_FILE = JointFileSettings()
-
-
-def clip_for_robot(
-    source: str,
-    robot: str,
-    mapping: str = "",
-    start_s: float = 0.0,
-    end_s: float | None = None,
-    fps: float | None = None,
-    joint_file: JointFileSettings = _NO_JOINT_FILE,
-) -> tuple[MotionClip, Skeleton]:
-    """Read a clip for a robot; what is of another skeleton is retargeted, and the errors logged.
-
-    Args:
-        source: a clip of the robot, a clip of a shipped humanoid, or a BVH file.
-        robot: the robot's file, see `load_clip_robot`.
-        mapping: see `read_named_mappings`; what is missing is found by names.
-        start_s: where to start in the source.
-        end_s: where to end; None: at its end.
-        fps: frames per second of the clip; None: the source's.
-        joint_file: about a source of joint coordinates.
-
-    Returns:
-        The clip, with joint coordinates, and the robot's skeleton.
-
-    Raises:
-        MissingPackageError: pybvh or mink is not installed.
-        ConfigError: robot or mapping cannot be used.
-        MotionFileError: the source cannot be read, or belongs to another robot.
-    """
-    of_skeleton, of_robot = read_named_mappings(mapping)
-    loaded = load_clip_robot(robot, _start_of(of_robot))
-    for line in (loaded.prepared.describe()[0], *loaded.prepared.notes):
-        _log.info("%s", line)
-    if Path(source).suffix.lower() == ".bvh":
-        if joint_file != _NO_JOINT_FILE:
-            raise ConfigError("file_fps=, quat_order= and by_order= are not for a .bvh file")
-        of_skeleton = of_skeleton or recognise_skeleton(source)
-        motion = load_bvh_source(source, of_skeleton, start_s, end_s, fps)
-        return _retarget(motion, loaded, robot, of_robot)
-    if of_skeleton is not None:
-        raise ConfigError(f"mapping={of_skeleton.name}: only a .bvh file needs one of this kind")
-    humanoids = [skeleton_for_num_dofs(number) for number in SHIPPED_NUM_DOFS]
-    clip, skeleton = load_single_clip(source, [loaded.skeleton, *humanoids], joint_file)
-    clip = cut(clip, start_s, end_s)
-    if fps is not None:
-        clip = resample(clip, fps, skeleton)
-    if skeleton is not loaded.skeleton:
-        return _retarget(source_from_clip(clip), loaded, robot, of_robot)
-    if of_robot is not None:
-        raise ConfigError(
-            f"mapping={of_robot.name}: {clip.name} is a clip of this robot, which needs no mapping"
-        )
-    return clip, skeleton
-
-
-def _start_of(mapping: RobotMapping | None) -> RobotSettings:
-    if mapping is None:
-        return RobotSettings()
-    return RobotSettings(
-        start_pose=mapping.start_pose or None, start_rotation=mapping.start_rotation
-    )
-
-
-def _retarget(
-    motion: SourceMotion, robot: ClipRobot, file: str, mapping: RobotMapping | None
-) -> tuple[MotionClip, Skeleton]:
-    if mapping is None or not mapping.bodies:
-        try:
-            found = recognise_robot(robot.prepared.model, robot.prepared.start_qpos)
-        except ConfigError as error:
-            raise ConfigError(f"robot={file}: {error}; name it by mapping=FILE") from error
-        mapping = found if mapping is None else dataclasses.replace(mapping, bodies=found.bodies)
-    target = robot_from_model(robot.prepared.model, mapping, robot.prepared.start_qpos)
-    result = retarget_to_robot(motion, target)
-    return clip_from_qpos(motion.name, result.fps, robot.skeleton, result.qpos), robot.skeleton
-
 
 def joints_of_clip(clip: MotionClip, skeleton: Skeleton) -> JointClip:
-    """Return the joint coordinates of a robot's clip, with the names of its joints.
-
-    Raises:
-        MotionFileError: as `qpos.dofs_of_clip`.
-    """
+    """Return the joint coordinates of a robot's clip, with the names of its joints."""
     return JointClip(
         name=clip.name,
         fps=clip.fps,
@@ -231,12 +148,7 @@ class ConvertSettings:
 
 
 def convert(source: str, out: str, settings: ConvertSettings) -> Path:
-    """Convert one clip; returns the path of the output.
-
-    Raises:
-        UserError: the input cannot be read, the output cannot be written, or exists. No partial
-            output remains.
-    """
+    """Convert one clip; returns the path of the output, of which no part remains after an error."""
     path = Path(out)
     formats = _ROBOT_FORMATS if settings.robot else _FORMATS
     check_output(path, formats, settings.overwrite)
@@ -270,7 +182,13 @@ def _clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]
     if settings.mapping:
         raise ConfigError(f"mapping={settings.mapping}: only a .bvh file needs one, or robot=")
     skeletons = [skeleton_for_num_dofs(settings.num_dofs)] if settings.num_dofs else ()
-    clip, skeleton = load_single_clip(source, skeletons)
+    return _part(*load_single_clip(source, skeletons), settings)
+
+
+def _part(
+    clip: MotionClip, skeleton: Skeleton, settings: ConvertSettings
+) -> tuple[MotionClip, Skeleton]:
+    """Return the part of a clip that the settings ask for, at their frame rate."""
     clip = cut(clip, settings.start_s, settings.end_s)
     if settings.fps is not None:
         clip = resample(clip, settings.fps, skeleton)
@@ -278,22 +196,58 @@ def _clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]
 
 
 def _robots_clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]:
-    """Read a clip of a robot, or retarget one to it."""
+    """Read a clip of a robot, or retarget a humanoid's or a BVH file to it."""
     if settings.num_dofs is not None:
         raise ConfigError(
             f"num_dofs={settings.num_dofs} chooses a humanoid and robot={settings.robot} a robot; "
             "leave one out"
         )
-    times = (settings.start_s, settings.end_s, settings.fps)
-    return clip_for_robot(source, settings.robot, settings.mapping, *times, _joint_file(settings))
+    joint_file = _joint_file(settings)
+    of_skeleton, of_robot = read_named_mappings(settings.mapping)
+    start = RobotSettings()
+    if of_robot is not None:
+        pose, rotation = of_robot.start_pose or None, of_robot.start_rotation
+        start = RobotSettings(start_pose=pose, start_rotation=rotation)
+    robot = load_clip_robot(settings.robot, start)
+    for line in (robot.prepared.describe()[0], *robot.prepared.notes):
+        _log.info("%s", line)
+    if Path(source).suffix.lower() == ".bvh":
+        if joint_file != JointFileSettings():
+            raise ConfigError("file_fps=, quat_order= and by_order= are not for a .bvh file")
+        of_skeleton = of_skeleton or recognise_skeleton(source)
+        times = (settings.start_s, settings.end_s, settings.fps)
+        motion = load_bvh_source(source, of_skeleton, *times)
+    else:
+        if of_skeleton is not None:
+            raise ConfigError(
+                f"mapping={of_skeleton.name}: only a .bvh file needs one of this kind"
+            )
+        humanoids = [skeleton_for_num_dofs(number) for number in SHIPPED_NUM_DOFS]
+        read = load_single_clip(source, [robot.skeleton, *humanoids], joint_file)
+        clip, skeleton = _part(*read, settings)
+        if skeleton is robot.skeleton:
+            if of_robot is None:
+                return clip, skeleton
+            raise ConfigError(
+                f"mapping={of_robot.name}: {clip.name} is a clip of this robot, which needs no"
+                " mapping"
+            )
+        motion = source_from_clip(clip)
+    model, start_qpos = robot.prepared.model, robot.prepared.start_qpos
+    if of_robot is None or not of_robot.bodies:
+        try:
+            found = recognise_robot(model, start_qpos)
+        except ConfigError as error:
+            message = f"robot={settings.robot}: {error}; name it by mapping=FILE"
+            raise ConfigError(message) from error
+        of_robot = dataclasses.replace(of_robot or found, bodies=found.bodies)
+    result = retarget_to_robot(motion, robot_from_model(model, of_robot, start_qpos))
+    return clip_from_qpos(motion.name, result.fps, robot.skeleton, result.qpos), robot.skeleton
 
 
 def _joint_file(settings: ConvertSettings) -> JointFileSettings:
-    return JointFileSettings(
-        fps=settings.file_fps,
-        quat_order=next((order for order in QUAT_ORDERS if order == settings.quat_order), None),
-        by_order=settings.by_order,
-    )
+    quat_order: QuatOrder | None = next((o for o in QUAT_ORDERS if o == settings.quat_order), None)
+    return JointFileSettings(settings.file_fps, quat_order, settings.by_order)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -76,38 +76,27 @@ _LOWEST_M = 1e-4  # points of a foot that are as low as the lowest one
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A chain of hinges from the trunk to a foot.
+    """A chain of hinges from the trunk to a foot."""
 
-    Attributes:
-        foot: name of the body.
-        body: its id.
-        joints: ids of the hinges that move freely, from the hip down.
-        sole: (3,) m, the centre of the foot's lowest ball, or its lowest point, in its own frame.
-        radius: m, of the ball; 0 of a point.
-        hip: (3,) m, from the trunk's origin to the hinge that swings the leg fore and aft, in the
-            start pose and the world's axes.
-        neutral_y: m, from the trunk's origin to the foot along y, likewise.
-        length: m, of the straight leg from this hinge to `sole`.
-    """
-
-    foot: str
-    body: int
-    joints: tuple[int, ...]
+    foot: str  # name of the body
+    body: int  # its id
+    joints: tuple[int, ...]  # ids of the hinges that move freely, from the hip down
+    # (3,) m, the centre of the foot's lowest ball, or its lowest point, in its own frame.
     sole: FloatArray
-    radius: float
+    radius: float  # m, of the ball; 0 of a point
+    # (3,) m, from the trunk's origin to the hinge that swings the leg fore and aft, in the start
+    # pose and the world's axes.
     hip: FloatArray
-    neutral_y: float
-    length: float
+    neutral_y: float  # m, from the trunk's origin to the foot along y, likewise
+    length: float  # m, of the straight leg from this hinge to `sole`
 
 
 def find_legs(robot: PreparedRobot) -> tuple[Leg, ...]:
     """Return the legs of a quadruped that looks along x: front left, front right, rear left, right.
 
     A leg is a chain of bodies with at least three hinges below the trunk that holds a body that
-    touches the floor in the start pose; if these are not four, one that holds a key body.
-
-    Raises:
-        ConfigError: the robot has not four legs of hinges, two on each side.
+    touches the floor in the start pose; if these are not four, one that holds a key body. Raises
+    ConfigError if the robot has not four of them, two on each side.
     """
     by_contact = _feet(robot.model, robot.contact_bodies)
     feet = by_contact
@@ -195,14 +184,9 @@ class LegSolver:
     def first_pose(self, root: FloatArray, places: FloatArray) -> npt.NDArray[np.float64]:
         """Return the pose (nq,) nearest to the start pose that reaches the places.
 
-        Of bends to two sides that are about equally near, `knees` names one.
-
-        Args:
-            root: (7,) the trunk's position in m and quaternion wxyz.
-            places: (4, 3) m in the world, of the legs' `sole`.
-
-        Raises:
-            ConfigError: a foot cannot reach its place.
+        Of bends to two sides that are about equally near, `knees` names one. `root` (7,) is the
+        trunk's position in m and quaternion wxyz; `places` (4, 3) m are of the legs' `sole` in the
+        world. Raises ConfigError if a foot cannot reach its place.
         """
         pose = self._start.copy()
         pose[:7] = root
@@ -227,11 +211,7 @@ class LegSolver:
     def next_pose(
         self, last: FloatArray, root: FloatArray, places: FloatArray
     ) -> npt.NDArray[np.float64]:
-        """Return the pose (nq,) that reaches the places, found from the pose before.
-
-        Raises:
-            ConfigError: a foot cannot reach its place.
-        """
+        """Return the pose (nq,) that reaches the places, found from the pose before."""
         pose = np.array(last, dtype=np.float64)
         pose[:7] = root
         for leg, place in zip(self._legs, places, strict=True):
@@ -352,16 +332,10 @@ class GaitSettings:
 
 
 def make_gait(robot: PreparedRobot, settings: GaitSettings, name: str = "gait") -> JointClip:
-    """Return a gait straight ahead along x, whole strides; the last frame is the first one's pose.
+    """Return whole strides straight ahead along x; the last frame is the first one's pose.
 
-    Args:
-        robot: a quadruped.
-        settings: of the gait; `feet`, `start_rotation` and `overwrite` are of the command only.
-        name: of the clip.
-
-    Raises:
-        ConfigError: the robot has not four legs, a foot cannot reach its places, or a stride has
-            fewer than four frames.
+    Raises ConfigError if the robot has not four legs, a foot cannot reach its places, or a stride
+    has fewer than four frames.
     """
     legs = find_legs(robot)
     solver = LegSolver(robot, legs, settings.knees)
@@ -438,12 +412,7 @@ def _foot_places(
 
 
 def write_gait(source: str, out: str, settings: GaitSettings) -> Path:
-    """Make the gait of a robot's file and write it; return the path of the clip.
-
-    Raises:
-        UserError: the robot cannot be used, see `load_robot` and `make_gait`, or the output cannot
-            be written, or exists.
-    """
+    """Make the gait of a robot's file and write it; return the path of the clip."""
     path = Path(out)
     check_output(path, (".npz",), settings.overwrite)
     of_robot = RobotSettings(

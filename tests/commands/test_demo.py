@@ -21,6 +21,7 @@ from isaacgymenvs_lite.commands import demo
 from isaacgymenvs_lite.commands.demo import DemoSettings, run_demo
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
+from isaacgymenvs_lite.motion.formats import deepmimic
 from isaacgymenvs_lite.runner import run
 from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, train_in
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from isaacgymenvs_lite.evaluation.time_warping import align
+from isaacgymenvs_lite.evaluation.pose_error import align
 
 
 def plain_alignment(cost, off_tempo=0.0):

@@ -22,8 +22,7 @@ from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult, evaluate
 from isaacgymenvs_lite.export import export
 from isaacgymenvs_lite.export.__main__ import main
-from isaacgymenvs_lite.export.configuration import configuration_of
-from isaacgymenvs_lite.export.export import ExportSettings, export_policy
+from isaacgymenvs_lite.export.export import ExportSettings, configuration_of, export_policy
 from isaacgymenvs_lite.export.formats import ExportedPolicy, load_policy
 from isaacgymenvs_lite.runner import load_player, run
 from tests.tiny import CONFIG, TINY_PPO, train_in

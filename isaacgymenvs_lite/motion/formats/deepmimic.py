@@ -60,13 +60,7 @@ _LOCOMOTION_SET, _ALL_SET = "locomotion", "all"
 
 
 class PackageClip(NamedTuple):
-    """A clip of the package.
-
-    Attributes:
-        name: its full name, such as `deepmimic:humanoid3d_walk`.
-        path: its file.
-        weight: how often to sample it; the weights of one data set have the sum 1.
-    """
+    """A clip of the package by its full name; the weights of one data set have the sum 1."""
 
     name: str
     path: Path
@@ -79,11 +73,7 @@ def is_package_name(motion_file: str | Path) -> bool:
 
 
 def clips_in_package() -> list[str]:
-    """Return the full names of all clips, such as `deepmimic:humanoid3d_walk`.
-
-    Raises:
-        MotionFileError: the package is not installed.
-    """
+    """Return the full names of all clips, such as `deepmimic:humanoid3d_walk`."""
     return [PREFIX + name for name in _paths_of_clips(PREFIX + _ALL_SET)]
 
 
@@ -192,10 +182,6 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
     whole clip is lifted by a constant, so that the lowest corner of a foot just touches it. If that
     leaves the whole body above the ground, the clip is put on it, see `plausibility.put_on_ground`.
     Velocities are differences, smoothed as in poselib's files.
-
-    Raises:
-        MotionFileError: no rows of 44 finite numbers, fewer than two, a duration that is not
-            above 0, quaternions far from unit length; the skeleton lacks joints of DeepMimic's.
     """
     with reading(name, "DeepMimic clip"):
         return _clip(data, skeleton, name)
@@ -260,12 +246,7 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
 
 
 def check_columns(data: dict[str, Any], name: str) -> None:
-    """Check that the rows are not those of another robot.
-
-    Raises:
-        MotionFileError: all rows have another length than DeepMimic's; the line names the family of
-            files, and what can be read.
-    """
+    """Raise a MotionFileError that names the family of files if rows are another robot's."""
     rows = data.get("Frames")
     widths = {len(row) for row in rows if isinstance(row, list)} if isinstance(rows, list) else ()
     columns = next(iter(widths), NUM_COLUMNS)
@@ -337,9 +318,8 @@ def _lifted(
     positions, turns = kinematics.forward_kinematics(
         skeleton.parent_indices, skeleton.local_translation, local, root
     )
-    lowest_m = kinematics.lowest_point_height(
-        skeleton.foot_body_ids, skeleton.foot_corners, positions, turns
-    )
+    feet = (skeleton.foot_body_ids, skeleton.foot_corners)
+    lowest_m = float(kinematics.world_points(*feet, positions, turns)[..., 2].min())
     if lowest_m >= 0.0:
         return root
     if lowest_m < -_LOGGED_LIFT_M:
@@ -351,10 +331,6 @@ def save_deepmimic(path: str | Path, clip: MotionClip) -> Path:
     """Write a clip of the humanoid, with `Loop` "none"; returns the path.
 
     The format has no hands, sword and shield, velocities and limb lengths.
-
-    Raises:
-        MotionFileError: the clip is not valid or lacks joints of DeepMimic's, or the file cannot be
-            written.
     """
     clip.validate()
     missing = [body for body in MOVED_BODIES if body not in clip.body_names]

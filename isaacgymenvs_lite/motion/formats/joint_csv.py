@@ -95,9 +95,6 @@ def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Pa
     """Write a clip whose bodies are in the order of `skeleton`; returns the path.
 
     The format has no velocities, limb lengths and rotations of hinges out of their axes.
-
-    Raises:
-        MotionFileError: the clip is not valid, or the file cannot be written.
     """
     clip.validate()
     root = (clip.root_translation, clip.local_rotation[:, 0])
@@ -115,13 +112,8 @@ def save_robot_csv(path: str | Path, clip: JointClip) -> Path:
 def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
     """Read a clip; the columns may be in any order, angles in rad or deg, lengths in m, cm, mm.
 
-    Args:
-        path: of the file. Without a column `time` its first line is `# fps: 30`.
-        skeletons: the humanoids that it may belong to; the DOFs in the header determine which.
-
-    Raises:
-        MotionFileError: no header, columns that are missing, unknown, double or in an unknown unit;
-            rows of another length or with something else than finite numbers; unequal time steps.
+    Without a column `time` the first line is `# fps: 30`. The DOFs in the header determine which of
+    the skeletons it is.
     """
     with reading(path, "table of joint angles"):
         lines, fps = _read_lines(path)
@@ -198,8 +190,9 @@ def load_robot_csv(path: str | Path, fps: float | None = None) -> JointClip:
     if not is_bones:
         column = _read_columns(names, units, lines[1:], path)
         rate = _frame_rate(column, fps, path)
-        parts = (_joined(column, part) for part in (_POSITION, _ROTATION, joints))
-        return JointClip(str(path), rate, *parts, tuple(joints))
+        position, rotation = _joined(column, _POSITION), _joined(column, _ROTATION)
+        dof_pos = _joined(column, joints)
+        return JointClip(str(path), rate, position, rotation, dof_pos, tuple(joints))
     table = _read_numbers(lines[1:], len(names), path)
     column = {name: table[:, i] for i, name in enumerate(names)}
     if _BONES_FRAME in column and not np.all(np.diff(column[_BONES_FRAME]) == 1.0):

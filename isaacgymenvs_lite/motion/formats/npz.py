@@ -31,9 +31,6 @@ def save_npz(path: str | Path, clip: MotionClip) -> Path:
 
     The bytes depend on the clip only (no time stamps), and a file of the same name is replaced in
     one step.
-
-    Raises:
-        MotionFileError: the clip itself is not valid, or the file cannot be written.
     """
     clip.validate()
     arrays = {
@@ -64,12 +61,7 @@ def write_arrays(
 
 
 def load_npz(path: str | Path) -> MotionClip:
-    """Read a clip; velocities that the file does not hold are computed from its poses.
-
-    Raises:
-        MotionFileError: the file is damaged, is no clip, is of a newer version, or holds a clip
-            that is not valid.
-    """
+    """Read a clip; velocities that the file does not hold are computed from its poses."""
     with reading(path, _EXPECTED):
         return _clip(read_arrays(path, _KNOWN_KEYS), path)
 

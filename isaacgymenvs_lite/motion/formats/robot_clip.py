@@ -117,11 +117,7 @@ def split_motion(name: str | Path) -> tuple[str, str]:
 def read_joint_clip(
     path: str | Path, fps: float | None = None, quat_order: QuatOrder | None = None
 ) -> JointClip:
-    """Read a file's only clip, or the one in `FILE:MOTION`; see `read_joint_clips`.
-
-    Raises:
-        MotionFileError: also for a file of several motions.
-    """
+    """Read a file's only clip, or the one in `FILE:MOTION`; see `read_joint_clips`."""
     clips = read_joint_clips(path, fps, quat_order)
     if len(clips) > 1:
         raise MotionFileError(several_motions(path, [clip.name for clip in clips]))
@@ -338,11 +334,7 @@ def _order_of_g1(body_pos_w: FloatArray, name: str) -> tuple[str, ...]:
 
 
 def save_robot_npz(path: str | Path, clip: JointClip) -> Path:
-    """Write a clip in this project's form; `.npz` is added to `path` where it is missing.
-
-    Raises:
-        MotionFileError: the clip is not valid, or the file cannot be written.
-    """
+    """Write a clip in this project's form; `.npz` is added to `path` where it is missing."""
     clip.validate()
     arrays = {"root_pos": clip.root_pos, "root_rot": clip.root_rot, "dof_pos": clip.dof_pos}
     if clip.joint_names is not None:

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import torch
 
-from isaacgymenvs_lite.errors import ConfigError, listed
+from isaacgymenvs_lite.errors import ConfigError, listed, unknown
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.formats.files import reading
 from isaacgymenvs_lite.motion.kinematics import FloatArray
@@ -64,15 +64,10 @@ _LOWEST_JOINT, _PREFERRED, _GROUNDED = 0.1, 0.15, 0.12
 
 @dataclass(frozen=True, eq=False)
 class _Skeleton:
-    """A mapped skeleton in T frames of its motion, in the axes and the unit of the file.
+    """A mapped skeleton in T frames of its motion, in the axes and the unit of the file."""
 
-    Attributes:
-        places: (T, 3) of each body's joint.
-        turns: (T, 4) xyzw, attitude of each body's joint.
-    """
-
-    places: Mapping[str, FloatArray]
-    turns: Mapping[str, FloatArray]
+    places: Mapping[str, FloatArray]  # (T, 3) of each body's joint
+    turns: Mapping[str, FloatArray]  # (T, 4) xyzw, attitude of each body's joint
 
     @classmethod
     def of(cls, motion: BvhMotion, mapping: SkeletonMapping, at_rest: bool = False) -> _Skeleton:
@@ -136,24 +131,22 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def check_fit(motion: BvhMotion, mapping: SkeletonMapping) -> None:
-    """Check a mapping by the skeleton as it moves.
+    """Raise a ConfigError that has what to write if a mapping does not fit the motion.
 
-    Raises:
-        ConfigError: another axis of the file is up, its unit is another one, the joints have other
-            axes, or left and right are exchanged; the line has what to write.
+    Another axis of the file is up, its unit is another one, the joints have other axes, or left and
+    right are exchanged.
     """
-    mapping.check_joints(motion.joint_names, motion.name)
+    for body, source in mapping.sources.items():
+        if source.joint not in motion.joint_names:
+            problem = unknown("joint", source.joint, motion.joint_names)
+            raise ConfigError(f"mapping={mapping.name}: bodies.{body}: {motion.name} has {problem}")
     with reading(motion.name, "BVH file"):
         if problems := _problems(motion, mapping):
             raise ConfigError(f"{motion.name} does not fit mapping={mapping.name}: {problems}")
 
 
 def fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
-    """Return a mapping with the up axis, the unit and the axes of joints that the skeleton shows.
-
-    Raises:
-        ConfigError: a mapping that fits cannot be found; the line has what to write.
-    """
+    """Return a mapping with the up axis, unit and axes of joints that the skeleton shows."""
     with reading(motion.name, "BVH file"):
         skeleton, rest_axis = _Skeleton.of(motion, mapping), _rest_axis(motion, mapping)
         found = mapping
@@ -300,17 +293,17 @@ _HELPER = re.compile("twist|roll", re.IGNORECASE)
 def read_named_mappings(mapping: str) -> tuple[SkeletonMapping | None, RobotMapping | None]:
     """Read the mappings that a user names: of a BVH file's skeleton, and of a robot.
 
-    Args:
-        mapping: names of shipped mappings or YAML files, at most one of each kind, separated by a
-            comma; "" for none. The keys of a file show which kind it is.
-
-    Raises:
-        ConfigError: two of one kind, or see `load_mapping` and `load_robot_mapping`.
+    They are shipped ones or YAML files, at most one of each kind, separated by a comma. The keys of
+    a file show which kind it is.
     """
     skeleton: SkeletonMapping | None = None
     robot: RobotMapping | None = None
     for name in filter(None, map(str.strip, mapping.split(","))):
-        is_robots = _is_of_robot(name)
+        _, keys = read_mapping_keys(name, shipped_mappings() | shipped_robot_mappings(), "bodies")
+        bodies = keys.get("bodies")
+        entries = bodies.values() if isinstance(bodies, Mapping) else ()
+        joints = any(isinstance(entry, Mapping) and "joint" in entry for entry in entries)
+        is_robots = not ("up" in keys or "unit_m" in keys or joints)
         if (robot if is_robots else skeleton) is not None:
             kind = "a robot" if is_robots else "a BVH file's skeleton"
             raise ConfigError(
@@ -325,25 +318,11 @@ def read_named_mappings(mapping: str) -> tuple[SkeletonMapping | None, RobotMapp
     return skeleton, robot
 
 
-def _is_of_robot(name: str) -> bool:
-    """Return whether a mapping is of a robot: its bodies have no joints of another skeleton."""
-    _, keys = read_mapping_keys(name, shipped_mappings() | shipped_robot_mappings(), "bodies")
-    bodies = keys.get("bodies")
-    entries = bodies.values() if isinstance(bodies, Mapping) else ()
-    joints = any(isinstance(entry, Mapping) and "joint" in entry for entry in entries)
-    return not ("up" in keys or "unit_m" in keys or joints)
-
-
 def recognise_skeleton(path: str | Path) -> SkeletonMapping:
     """Return a mapping for the joints of a BVH file, and log which one it is.
 
     It is the shipped one with these joints, else a guess by the names of feet, hands and head; in
-    both cases as `fitted`.
-
-    Raises:
-        MissingPackageError: pybvh is not installed.
-        MotionFileError: the file cannot be read.
-        ConfigError: no mapping is made for its joints, the message lists them; or none fits.
+    both cases as `fitted`. Raises ConfigError if none fits.
     """
     names, parents = bvh_hierarchy(path)
     for name, marks in _MARKS.items():

@@ -22,6 +22,7 @@ from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.motion.formats.files import reading
 from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.qpos import body_poses
 from isaacgymenvs_lite.motion.retargeting.mapping import WITH_ATTITUDE, read_mapping_keys
 from isaacgymenvs_lite.motion.retargeting.solve import weights_of
 from isaacgymenvs_lite.motion.retargeting.source import SIDES
@@ -37,36 +38,14 @@ _ASIDE = 0.1
 _LEG, _ARM = ("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand")
 
 
-def body_poses(
-    model: mujoco.MjModel, qpos: FloatArray, bodies: list[str]
-) -> tuple[FloatArray, FloatArray]:
-    """Return world positions (T, B, 3) m and rotations (T, B, 4) xyzw of bodies, qpos (T, nq)."""
-    ids = [model.body(name).id for name in bodies]
-    data = mujoco.MjData(model)
-    places, turns = np.zeros((len(qpos), len(ids), 3)), np.zeros((len(qpos), len(ids), 4))
-    for i, pose in enumerate(qpos):
-        data.qpos[:] = pose
-        mujoco.mj_kinematics(model, data)
-        places[i], turns[i] = data.xpos[ids], data.xquat[ids]
-    return places, rotations.xyzw_from_wxyz(torch.from_numpy(turns)).numpy()
-
-
 def find_bend(
     model: mujoco.MjModel, start: FloatArray, top: int, end: int
 ) -> tuple[int, FloatArray, FloatArray] | None:
-    """Return the hinge that bends a limb, a knee or an elbow.
+    """Return the hinge that bends a limb, a knee or an elbow, by MuJoCo's kinematics.
 
-    It is the hinge between both ends of the limb that changes their distance most.
-
-    Args:
-        model: of the robot.
-        start: (nq,), the pose of the other joints.
-        top: id of the limb's first body.
-        end: id of its last one.
-
-    Returns:
-        The joint, angles (rad) over its range, and the distances (m) of both ends at them; None of
-        a limb without a hinge between its ends.
+    It is the hinge between the bodies `top` and `end` that changes their distance most, with the
+    other joints as in `start` (nq,). Returns the joint, angles (rad) over its range, and the
+    distances (m) at them; None of a limb without a hinge between its ends.
     """
     between = itertools.takewhile(lambda body: body != top, ancestors(model, end)[1:])
     names = [model.body(top).name, model.body(end).name]
@@ -86,12 +65,9 @@ def find_bend(
 def find_limbs(model: mujoco.MjModel, start: FloatArray) -> dict[str, int]:
     """Return the ids of bodies of a robot on two legs by the humanoid's names, or {}.
 
-    The legs are the limbs that end on the floor, the arms those that end farthest aside above them.
-    A limb bends where `find_bend` says.
-
-    Args:
-        model: of a robot with a free root that looks along its x axis.
-        start: (nq,), a pose in which it stands.
+    The legs are the limbs that end on the floor in the pose `start` (nq,), the arms those that end
+    farthest aside above them. A limb bends where `find_bend` says. The robot looks along the x axis
+    of its free root.
     """
     ends = [model.body(name).id for name in limb_ends(model, start)]
     grounded = {model.body_weldid[model.body(name).id] for name in touching_bodies(model, start)}
@@ -118,16 +94,8 @@ def _pair(
 ) -> tuple[dict[str, int], int] | None:
     """Return the links of the limbs that end farthest to the left and right, and what carries both.
 
-    Args:
-        model: of the robot.
-        start: (nq,), the pose in which it stands.
-        ends: bodies to choose from, at least one.
-        parts: names of a limb's three links.
-        aside_m: how far from the middle they end at least.
-
-    Returns:
-        Bodies by names with sides, and the last body with joints that moves both limbs, or the
-        root; None if there is no such pair.
+    That is the last body with joints that moves both limbs, or the root. None: no pair ends at
+    least `aside_m` from the middle. `parts` are the names of a limb's three links.
     """
     places, turns = body_poses(model, start[None], [model.body(i).name for i in (1, *ends)])
     back = rotations.quat_conjugate(torch.from_numpy(turns[0, :1])).expand(len(ends), 4)
@@ -207,23 +175,18 @@ class RobotBody:
 
 @dataclass(frozen=True, eq=False)
 class RobotMapping:
-    """How the humanoid's bodies move a robot.
+    """How the humanoid's bodies move a robot."""
 
-    Attributes:
-        name: the file, or the name of a shipped mapping.
-        bodies: of the robot, by the humanoid's names, parents first; `NEEDED` and more. Empty: they
-            are found by their names (`guess_robot_mapping`).
-        start_pose: key of the model in which it stands upright; "": home, stand or standing, if
-            there is one, else the pose of the model file.
-        fastest_rad_s: how fast a hinge may be from frame to frame.
-        start_rotation: xyzw, of the root in the start pose; None: as there. The clip commands use
-            it (`motion.robot_clips`).
-    """
-
-    name: str
+    name: str  # the file, or the name of a shipped mapping
+    # Of the robot, by the humanoid's names, parents first; `NEEDED` and more. Empty: they are found
+    # by their names (`guess_robot_mapping`).
     bodies: Mapping[str, RobotBody]
+    # Key of the model in which it stands upright; "": home, stand or standing, if there is one,
+    # else the pose of the model file.
     start_pose: str = ""
-    fastest_rad_s: float = 20.0
+    fastest_rad_s: float = 20.0  # how fast a hinge may be from frame to frame
+    # Xyzw, of the root in the start pose; None: as there. The clip commands use it
+    # (`motion.convert`).
     start_rotation: tuple[float, ...] | None = None
 
     def parent(self, name: str) -> str | None:
@@ -239,12 +202,7 @@ def shipped_robot_mappings() -> dict[str, Path]:
 
 
 def load_robot_mapping(mapping: str | Path) -> RobotMapping:
-    """Read a mapping file for a robot, or the shipped one of that name.
-
-    Raises:
-        ConfigError: no such file or name; no YAML; a key is unknown or has a value that cannot be
-            used; a body is missing, unknown, or given without its parent.
-    """
+    """Read a mapping file for a robot, or the shipped one of that name, or raise a ConfigError."""
     with reading(mapping, "mapping file"):
         path, content = read_mapping_keys(mapping, shipped_robot_mappings(), "bodies")
         settings = read_section(_RobotMappingSettings, content, where=str(path), complete=True)
@@ -313,15 +271,9 @@ def guess_robot_mapping(
 ) -> tuple[RobotMapping, str]:
     """Match the bodies of a robot to the humanoid's, by their names or else by the joints.
 
-    Args:
-        model: of the robot.
-        start: (nq,), the pose in which it stands; None: the model's first one.
-
-    Returns:
-        The mapping, and one line that lists what was matched.
-
-    Raises:
-        ConfigError: a leg or the pelvis cannot be found; the message has what to write.
+    `start` (nq,) is the pose in which it stands; None: the model's first one. Returns the mapping,
+    and one line that lists what was matched. Raises ConfigError, which has what to write, if a leg
+    or the pelvis cannot be found.
     """
     names = {i: model.body(i).name for i in range(1, model.nbody)}
     found = {

@@ -26,21 +26,15 @@ FEET = tuple(f"{side}_foot" for side in SIDES)
 
 @dataclass(frozen=True, eq=False)
 class SourceMotion:
-    """T frames of a figure in its own size; its bodies have the names of the humanoid's.
+    """T frames of a figure in its own size; its bodies have the names of the humanoid's."""
 
-    Attributes:
-        name: of the clip or file.
-        fps: frames per second.
-        places: (T, 3) m of the near end of each body, in the world, z up.
-        turns: (T, 4) xyzw, attitudes in the world; the identity is the upright figure that faces
-            +x. Limbs have none: their attitudes follow from the places.
-        levelled: feet whose soles are made parallel to the ground, see `targets`.
-    """
-
-    name: str
-    fps: float
-    places: Mapping[str, FloatArray]
+    name: str  # of the clip or file
+    fps: float  # frames per second
+    places: Mapping[str, FloatArray]  # (T, 3) m of the near end of each body, in the world, z up
+    # (T, 4) xyzw, attitudes in the world; the identity is the upright figure that faces +x. Limbs
+    # have none: their attitudes follow from the places.
     turns: Mapping[str, FloatArray]
+    # Feet whose soles are made parallel to the ground, see `targets`.
     levelled: tuple[str, ...] = ()
 
 
@@ -62,11 +56,7 @@ def source_from_bvh(clip: MotionClip, mapping: SkeletonMapping) -> SourceMotion:
 
 
 def source_from_clip(clip: MotionClip) -> SourceMotion:
-    """Return the motion of a clip of a shipped humanoid.
-
-    Raises:
-        MotionFileError: no shipped humanoid has these bodies.
-    """
+    """Return the motion of a clip of a shipped humanoid, or raise a MotionFileError."""
     if shipped_humanoid_with(clip.body_names) is None:
         raise MotionFileError(
             f"{clip.name}: no shipped humanoid has its {clip.num_bodies} bodies, so that it cannot "
@@ -114,11 +104,9 @@ _ENDS = tuple(itertools.product((-1.0, 1.0), repeat=3))
 
 @dataclass(frozen=True, eq=False)
 class Sole:
-    """The points of a foot that can touch the ground: balls, of radius 0 at corners.
+    """The points of a foot that can touch the ground: balls of radii (K,) m, 0 at corners.
 
-    Attributes:
-        points: (K, 3) m, their centres relative to the foot, in the axes of the upright figure.
-        radii: (K,) m.
+    `points` (K, 3) m are their centres relative to the foot, in the axes of the upright figure.
     """
 
     points: FloatArray
@@ -144,23 +132,15 @@ class Sole:
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """The upright figure that faces +x: J bodies with names of the humanoid's, parents first.
+    """The upright figure that faces +x: J bodies with names of the humanoid's, parents first."""
 
-    Attributes:
-        body_names: J names.
-        parent_indices: J ids, -1 for the pelvis.
-        offsets: (J, 3) m, of the near end of a body from its parent's; the pelvis' is not used.
-        soles: of both feet.
-        round_m: m, radii of bodies that may lie on the ground.
-        pins_feet: whether feet in contact are held in place; else they slide as the source's.
-    """
-
-    body_names: tuple[str, ...]
-    parent_indices: tuple[int, ...]
+    body_names: tuple[str, ...]  # J names
+    parent_indices: tuple[int, ...]  # J ids, -1 for the pelvis
+    # (J, 3) m, of the near end of a body from its parent's; the pelvis' is not used.
     offsets: FloatArray
-    soles: Mapping[str, Sole]
-    round_m: Mapping[str, float]
-    pins_feet: bool
+    soles: Mapping[str, Sole]  # of both feet
+    round_m: Mapping[str, float]  # m, radii of bodies that may lie on the ground
+    pins_feet: bool  # whether feet in contact are held in place; else they slide as the source's
 
     @property
     def leg_length_m(self) -> float:
@@ -201,15 +181,9 @@ def find_sole(
     """Return centres (K, 3) m, seen from the foot in world axes, and radii (K,) of a robot's sole.
 
     Corners of boxes, ends of capsules and cylinders, spheres, vertices of meshes, of the foot and
-    of bodies that it carries. Geoms that do not collide count only if no other exists.
-
-    Args:
-        model: the compiled model.
-        start: (nq,), a pose in which the robot stands upright with flat feet.
-        foot: name of the body.
-
-    Raises:
-        ConfigError: it has no geoms.
+    of bodies that it carries. Geoms that do not collide count only if no other exists. In the pose
+    `start` (nq,) the robot stands upright with flat feet. Raises ConfigError for a foot without
+    geoms.
     """
     data, body = posed(model, start), model.body(foot).id
     geoms = [i for i in range(model.ngeom) if body in ancestors(model, int(model.geom_bodyid[i]))]

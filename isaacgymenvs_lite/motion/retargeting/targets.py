@@ -39,18 +39,10 @@ _RESTS_M = 0.005
 def pin_feet(
     sole: Sole, feet: FloatArray, turns: FloatArray, fps: float
 ) -> tuple[Flags, FloatArray, FloatArray]:
-    """Return places and attitudes of a foot whose points in contact rest on the ground.
+    """Return where points (T, K) touch, and a foot's places (T, 3), attitudes (T, 4) at rest there.
 
     Between contacts the correction passes smoothly from the last contact's to the next one's.
-
-    Args:
-        sole: its points.
-        feet: (T, 3) m, the foot over the ground z = 0.
-        turns: (T, 4) xyzw, its attitude.
-        fps: frames per second.
-
-    Returns:
-        Which points are in contact (T, K), and the places (T, 3) and attitudes (T, 4) of the foot.
+    `feet` (T, 3) m are places over the ground z = 0, `turns` (T, 4) xyzw the attitudes.
     """
     contact = find_contacts(sole.places(feet, turns), fps)
     touching = np.any(contact, axis=1)
@@ -119,11 +111,8 @@ def _smoothed(share: FloatArray) -> FloatArray:
 def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
     """Return how the root must rise (T,) m so that the lowest point in contact is on the ground.
 
-    Between contacts it passes smoothly from one to the next; no point stays below the ground.
-
-    Args:
-        points: (T, ..., 3) m, of all soles.
-        contact: (T, ...), which of them are in contact.
+    Between contacts it passes smoothly from one to the next; no point stays below the ground. The
+    points (T, ..., 3) m are of all soles, and `contact` (T, ...) says which touch.
     """
     heights = np.where(contact, points[..., 2], np.inf).reshape(len(points), -1).min(axis=1)
     touching = np.isfinite(heights)
@@ -136,12 +125,8 @@ def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
 def replanted(points: FloatArray, wanted: FloatArray, contact: Flags) -> FloatArray:
     """Return how a foot must move (T, 3) m so that it rests without sliding, near where it should.
 
-    Between contacts it passes smoothly from one to the next.
-
-    Args:
-        points: (T, K, 3) m, of its sole, where they are.
-        wanted: (T, K, 3) m, where they should be.
-        contact: (T, K), which of them are in contact.
+    Between contacts it passes smoothly from one to the next. The sole's points (T, K, 3) m are to
+    be at `wanted`; those in `contact` (T, K) touch the ground.
     """
     touching = np.any(contact, axis=1)
     moved = _planted(points, contact)
@@ -236,20 +221,15 @@ _DEEPEST = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """T poses for J bodies, in the world.
+    """T poses for J bodies, in the world."""
 
-    Attributes:
-        positions: (T, J, 3) m, of the near ends of the bodies. Limbs have the figure's lengths and
-            the source's directions; pelvis and feet are scaled by the length of the legs.
-        turns: (T, 4) xyzw, attitudes of the bodies that follow the source's, by name.
-        scale: the figure's leg length divided by the source's.
-        contacts: (T, K) of each foot, which points of its sole rest on the ground.
-    """
-
+    # (T, J, 3) m, of the near ends of the bodies. Limbs have the figure's lengths and the source's
+    # directions; pelvis and feet are scaled by the length of the legs.
     positions: FloatArray
+    # (T, 4) xyzw, attitudes of the bodies that follow the source's, by name.
     turns: dict[str, FloatArray]
-    scale: float
-    contacts: dict[str, Flags]
+    scale: float  # the figure's leg length divided by the source's
+    contacts: dict[str, Flags]  # (T, K) of each foot, which points of its sole rest on the ground
 
 
 def make_targets(source: SourceMotion, figure: Figure) -> Targets:
