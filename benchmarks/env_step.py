@@ -26,7 +26,6 @@ from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
-from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 
 _STEPS_PER_ROUND = 10
 # Exploration noise of AMP's policies, exp(-2.9), and of a policy of the classic tasks at its start.
@@ -59,7 +58,7 @@ def main() -> None:
         env_s = raw_s = 0.0
         for _ in range(_STEPS_PER_ROUND):
             actions = noise * torch.randn(args.num_envs, env.num_actions)
-            if env.reset_mode is ResetMode.ON_REQUEST:
+            if env.agents_call_reset_done:
                 start = time.perf_counter()
                 env.reset_done()
                 env_s += time.perf_counter() - start

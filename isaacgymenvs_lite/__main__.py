@@ -43,15 +43,9 @@ _HELP = ("-h", "--help", "help")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command, or print the list of them.
+    """Run a command, or print the list of them; return the exit code where no command ran.
 
     The command's module becomes the program, as `python -m` makes it, and exits itself.
-
-    Args:
-        arguments: without the program's name; None = `sys.argv`.
-
-    Returns:
-        The exit code where no command ran.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in _HELP:

@@ -60,7 +60,7 @@ def run_command(
     arguments: Sequence[str] | None = None,
     words: argparse.Namespace | None = None,
 ) -> int:
-    """Read `key=value` words into a settings dataclass and call a function with it.
+    """Read `key=value` words into settings and call `action` with them; return the exit code.
 
     The log goes to stderr, messages only. A user's mistake is one line and exit code 2; Ctrl-C
     ends with 130.
@@ -71,9 +71,6 @@ def run_command(
         action: receives the settings.
         arguments: without the program's name; None = `sys.argv`.
         words: is filled with the parser's own options and words before the action runs.
-
-    Returns:
-        The exit code.
     """
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("settings", nargs="*", default=[], metavar="key=value")

@@ -19,10 +19,19 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, open_dict
 
 from isaacgymenvs_lite.checkpoints.run_config import read_run_config, run_config_file
-from isaacgymenvs_lite.config import checkouts
 from isaacgymenvs_lite.config.compose import compose, compose_task
-from isaacgymenvs_lite.config.devices import check_device, check_device_name
-from isaacgymenvs_lite.config.launch import read_config, resolve_seed
+from isaacgymenvs_lite.config.launch import (
+    check_device,
+    check_device_name,
+    read_config,
+    resolve_seed,
+)
+from isaacgymenvs_lite.config.staging import (
+    CHECKOUT_KEY,
+    checkout_of,
+    clip_folders,
+    model_folders,
+)
 from isaacgymenvs_lite.config.train_params import ISAAC_LAB_ACTIONS
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.formats.deepmimic import is_package_name
@@ -104,7 +113,7 @@ def _with_checkout(cfg: DictConfig) -> DictConfig:
 
     The train.py of another project has no such key, and its clips are in its own folders.
     """
-    if checkouts.KEY in cfg or not HydraConfig.initialized():
+    if CHECKOUT_KEY in cfg or not HydraConfig.initialized():
         return cfg
     runtime = HydraConfig.get().runtime
     (folder,) = (source.path for source in runtime.config_sources if source.provider == "main")
@@ -113,7 +122,7 @@ def _with_checkout(cfg: DictConfig) -> DictConfig:
         return cfg
     cfg = cfg.copy()
     with open_dict(cfg):
-        cfg[checkouts.KEY] = str(checkouts.checkout_of(task_file))
+        cfg[CHECKOUT_KEY] = str(checkout_of(task_file))
     return cfg
 
 
@@ -136,7 +145,7 @@ def make_from_config(
     tree = plain(cfg)
     task_cfg: Any = copy.deepcopy(tree["task"])
     maker = find_task(str(task_cfg["name"]))
-    if checkout := tree.get(checkouts.KEY):
+    if checkout := tree.get(CHECKOUT_KEY):
         _find_files(task_cfg["env"], user_path(checkout).absolute(), maker)
     task = maker(
         cfg=task_cfg,
@@ -192,7 +201,7 @@ def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:
     """
     clip = env.get("motion_file")
     if isinstance(clip, str) and clip and not is_package_name(clip):
-        folders = [Path(), *checkouts.clip_folders(checkout, clip)]
+        folders = [Path(), *clip_folders(checkout, clip)]
         try:
             env["motion_file"] = str(Path(resolve_motion_file(clip, folders)).absolute())
         except MotionFileError as error:
@@ -229,7 +238,7 @@ def _folder_of_model(
     ours = not name or os.path.isfile(assets_dir() / name) or name in published
     if ours or os.path.isfile(Path(root) / name):
         return None
-    folders = [] if ".." in Path(name).parts else checkouts.model_folders(checkout, root)
+    folders = [] if ".." in Path(name).parts else model_folders(checkout, root)
     for folder in folders:
         if os.path.isfile(folder / name):
             return folder

@@ -26,34 +26,23 @@ class StepListener(Protocol):
 
     def after_step(self) -> None:
         """A control step was made; the episodes that ended in it are not reset yet."""
-        ...
 
     def render(self) -> None:
         """Render the current state: `VecTask.render` was called."""
-        ...
 
     def close(self) -> None:
         """Finish and release everything; a second call does nothing."""
-        ...
 
 
 class Env(Protocol):
     """A task that resets its episodes on request, as `evaluation.evaluate` plays it."""
 
-    @property
-    def num_envs(self) -> int:
-        """N."""
-        ...
-
-    @property
-    def rl_device(self) -> Any:
-        """Device of observations, rewards and dones."""
-        ...
-
-    @property
-    def progress_buf(self) -> Tensor:
-        """(N,) control steps of the running episodes."""
-        ...
+    num_envs: int
+    """N."""
+    rl_device: Any
+    """Device of observations, rewards and dones."""
+    progress_buf: Tensor
+    """(N,) control steps of the running episodes."""
 
     def reset(self) -> dict[str, Tensor]:
         """Reset all environments; return {"obs": (N, O)}."""
@@ -74,10 +63,8 @@ class AMPObsEnv(Protocol):
     Its `num_amp_obs_steps`, an int, is how many; without it 1 is assumed.
     """
 
-    @property
-    def amp_observation_space(self) -> gymnasium.spaces.Box:
-        """Shape (F,) of an AMP observation."""
-        ...
+    amp_observation_space: gymnasium.spaces.Box
+    """Shape (F,) of an AMP observation."""
 
 
 class AMPEnv(AMPObsEnv, Protocol):
@@ -121,15 +108,10 @@ class TrackingEnv(AMPEnv, Protocol):
 class SkillEnv(AMPEnv, Protocol):
     """A task for policies that act under skill latents (GenAMP, ASE)."""
 
-    @property
-    def num_envs(self) -> int:
-        """N."""
-        ...
-
-    @property
-    def progress_buf(self) -> Tensor:
-        """(N,) control steps of the running episodes."""
-        ...
+    num_envs: int
+    """N."""
+    progress_buf: Tensor
+    """(N,) control steps of the running episodes."""
 
 
 class ClipSkillEnv(SkillEnv, Protocol):
@@ -149,30 +131,20 @@ class ClipKeepingEnv(ClipSkillEnv, Protocol):
 
     def keep_to_clips(self, env_ids: Tensor) -> None:
         """From here on, episodes (n,) that started in a clip fail if they leave it."""
-        ...
 
     def leave_clips(self, env_ids: Tensor) -> None:
         """From here on, episodes (n,) may do something else."""
-        ...
 
 
 class ClipWindowsEnv(AMPObsEnv, Protocol):
     """A task in whose reference motions `SkillProbe` looks for what a policy shows."""
 
-    @property
-    def num_amp_obs_steps(self) -> int:
-        """Control steps of an AMP observation."""
-        ...
-
-    @property
-    def progress_buf(self) -> Tensor:
-        """(N,) control steps of the running episodes."""
-        ...
-
-    @property
-    def motion_lib(self) -> MotionLib:
-        """The reference motions."""
-        ...
+    num_amp_obs_steps: int
+    """Control steps of an AMP observation."""
+    progress_buf: Tensor
+    """(N,) control steps of the running episodes."""
+    motion_lib: MotionLib
+    """The reference motions."""
 
     def windows_of_clips(self) -> list[Tensor]:
         """Return the AMP observations (n, F) along each clip."""
@@ -182,20 +154,12 @@ class ClipWindowsEnv(AMPObsEnv, Protocol):
 class HierarchyEnv(AMPObsEnv, Protocol):
     """A task for a high-level policy over a low-level controller (HRL)."""
 
-    @property
-    def observation_space(self) -> gymnasium.spaces.Box:
-        """Shape (O,) of an observation, the task's features included."""
-        ...
-
-    @property
-    def action_space(self) -> gymnasium.spaces.Box:
-        """Shape (A,) and limits of the low-level controller's actions."""
-        ...
-
-    @property
-    def reset_buf(self) -> Tensor:
-        """(N,) 1 where the next `reset_done` starts a new episode; the agent writes into it."""
-        ...
+    observation_space: gymnasium.spaces.Box
+    """Shape (O,) of an observation, the task's features included."""
+    action_space: gymnasium.spaces.Box
+    """Shape (A,) and limits of the low-level controller's actions."""
+    reset_buf: Tensor
+    """(N,) 1 where the next `reset_done` starts a new episode; the agent writes into it."""
 
     def get_task_obs_size(self) -> int:
         """Return how many entries of an observation, the last ones, describe the task."""
@@ -233,30 +197,16 @@ class GoalEnv(Env, Protocol):
 class BodyStates(Protocol):
     """A task's `simulation`, as far as measurements read it; B bodies, positions in m."""
 
-    @property
-    def body_names(self) -> Any:
-        """B names."""
-        ...
-
-    @property
-    def body_pos(self) -> Tensor:
-        """(N, B, 3) in the world frame."""
-        ...
-
-    @property
-    def body_rot(self) -> Tensor:
-        """(N, B, 4) quaternions xyzw in the world frame."""
-        ...
-
-    @property
-    def root_states(self) -> Tensor:
-        """(N, 13) position, quaternion xyzw, linear and angular velocity."""
-        ...
-
-    @property
-    def dof_pos(self) -> Tensor:
-        """(N, D) rad, angles of hinges and rotation vectors of ball joints."""
-        ...
+    body_names: Any
+    """B names."""
+    body_pos: Tensor
+    """(N, B, 3) in the world frame."""
+    body_rot: Tensor
+    """(N, B, 4) quaternions xyzw in the world frame."""
+    root_states: Tensor
+    """(N, 13) position, quaternion xyzw, linear and angular velocity."""
+    dof_pos: Tensor
+    """(N, D) rad, angles of hinges and rotation vectors of ball joints."""
 
 
 class ReferenceEnv(Env, Protocol):
@@ -266,30 +216,16 @@ class ReferenceEnv(Env, Protocol):
     episodes started that end with the clip; None: they go on.
     """
 
-    @property
-    def motion_lib(self) -> MotionLib:
-        """The reference motions."""
-        ...
-
-    @property
-    def simulation(self) -> BodyStates:
-        """The simulated bodies."""
-        ...
-
-    @property
-    def dt(self) -> float:
-        """Seconds of a control step."""
-        ...
-
-    @property
-    def max_episode_length(self) -> int:
-        """Control steps of the longest episode."""
-        ...
-
-    @property
-    def device(self) -> str | torch.device:
-        """Device of the simulated state."""
-        ...
+    motion_lib: MotionLib
+    """The reference motions."""
+    simulation: BodyStates
+    """The simulated bodies."""
+    dt: float
+    """Seconds of a control step."""
+    max_episode_length: int
+    """Control steps of the longest episode."""
+    device: str | torch.device
+    """Device of the simulated state."""
 
 
 E = TypeVar("E")
@@ -320,7 +256,8 @@ def fits(env: object, contract: type[E]) -> TypeGuard[E]:
 
 def _missing_members(env: object, contract: type) -> list[str]:
     protocols = [cls for cls in reversed(contract.__mro__) if cls.__module__ == __name__]
-    names = dict.fromkeys(name for cls in protocols for name in vars(cls) if name[0] != "_")
+    members = (name for cls in protocols for name in (*cls.__annotations__, *vars(cls)))
+    names = dict.fromkeys(name for name in members if name[0] != "_")
     return [name for name in names if not hasattr(env, name)]
 
 

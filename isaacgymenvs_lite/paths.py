@@ -28,6 +28,16 @@ def assets_dir() -> Path:
     return _data_dir("assets", marker="mjcf")
 
 
+def shipped_policies_dir() -> Path:
+    """Return the folder of the policies that come with the project."""
+    return assets_dir() / "policies"
+
+
+def shipped_policies() -> dict[str, Path]:
+    """Return the shipped policies, name -> file, in the order of their names."""
+    return {path.stem: path for path in sorted(shipped_policies_dir().glob("*.pth"))}
+
+
 def user_path(given: str | Path) -> Path:
     """Return a path that a user gives, with `~` and `~name` replaced by the home folder.
 

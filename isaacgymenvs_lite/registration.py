@@ -101,21 +101,16 @@ def register_networks() -> None:
 
 
 def build_runner(observer: AlgoObserver | None = None) -> Runner:
-    """Return a Runner with our agents.
-
-    Args:
-        observer: is called during a training; None = rl_games' default.
-    """
+    """Return a Runner with our agents; the observer is called during a training."""
     runner = Runner(observer)
     register(runner)
     return runner
 
 
 def register_env(creator: Callable[..., VecTask] | None = None) -> None:
-    """Make `env_name: rlgpu` of train files mean the task that `creator(**kwargs)` returns.
+    """Make `env_name: rlgpu` of train files mean the task that `creator(**env_config)` returns.
 
-    Args:
-        creator: receives `config.env_config` as keyword arguments; None = `isaacgymenvs_lite.make`.
+    None stands for `isaacgymenvs_lite.make`.
     """
     vecenv.register("RLGPU", RLGPUEnv)
     env_configurations.register(

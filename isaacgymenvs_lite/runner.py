@@ -29,12 +29,7 @@ from rl_games.common.algo_observer import AlgoObserver
 
 from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.checkpoints.training_state import run_of_file
-from isaacgymenvs_lite.config.launch import (
-    CheckedConfig,
-    LaunchSettings,
-    read_config,
-    resolve_seed,
-)
+from isaacgymenvs_lite.config.launch import CheckedConfig, read_config, resolve_seed
 from isaacgymenvs_lite.config.resolvers import forbidden_resolver
 from isaacgymenvs_lite.config.run_names import (
     DEFAULT_TRAIN_DIR,
@@ -47,9 +42,8 @@ from isaacgymenvs_lite.config.train_params import (
     checkpoint_in_file,
     prepare_train_params,
 )
-from isaacgymenvs_lite.distributed import started_by_torchrun
-from isaacgymenvs_lite.distributed.group import ProcessGroup, current_group, joined_group
-from isaacgymenvs_lite.distributed.restarts import mark_run
+from isaacgymenvs_lite.distributed import mark_run, started_by_torchrun
+from isaacgymenvs_lite.distributed.group import ProcessGroup, joined_group
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything, torch_settings_kept
 from isaacgymenvs_lite.errors import (
     CheckpointError,
@@ -58,9 +52,7 @@ from isaacgymenvs_lite.errors import (
     UserError,
     one_line,
 )
-from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
 from isaacgymenvs_lite.pbt.observer import (
-    PBTObserver,
     first_mutation,
     mutable_settings,
     population_of,
@@ -71,8 +63,7 @@ from isaacgymenvs_lite.run.divergence import DivergenceFiles
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
 from isaacgymenvs_lite.run.measurement import MeasurementObserver
 from isaacgymenvs_lite.run.memory import check_training_memory
-from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective, objective_of
-from isaacgymenvs_lite.run.observers import TrainingObservers
+from isaacgymenvs_lite.run.observers import POSE_ERROR, TrainingObservers, objective_of
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.schema import leaves, select
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
@@ -87,10 +78,10 @@ _rl_games_log = logging.getLogger("rl_games")
 
 _DEFAULT_IMITATION_FREQUENCY = 50
 _PRECISION = "train.params.config.mixed_precision"
-# Of processes that train together.
+# Processes that train together need the same packages, and settings but these.
 _SAME_VERSIONS = ("isaacgymenvs_lite", "rl_games", "torch", "mujoco")
 _OF_MACHINES = ("rl_device", "sim_device", "graphics_device_id", "num_threads")
-# What only the main one does.
+# Only the main process shows and uploads.
 _QUIET = {"headless": True, "viewer": "", "capture_video": False, "wandb_activate": False}
 _MEASURED_EPISODES = 16
 _MEASUREMENTS = 20
@@ -123,7 +114,7 @@ def run(
     """
     config = _checked(cfg)
     if config.settings.test:
-        return play(config, command, direction=direction)
+        return play(config, direction=direction)
     return train(config, command, stop=stop, direction=direction)
 
 
@@ -135,18 +126,12 @@ def train(
     stop: StopRequest | None = None,
     direction: str = "",
 ) -> float | None:
-    """Train the agent of a composed tree in a run folder of its own.
-
-    Args:
-        cfg: as in `run`.
-        command: as in `run`.
-        stop: as in `run`.
-        direction: as in `run`.
+    """Train the agent of a composed tree in a run folder of its own; the arguments are `run`'s.
 
     Returns:
-        The number that compares runs, see `run.objective`: the best pose error in m (less is
-        better), or the best mean reward (more is better). None if nothing could be measured: no
-        episode has ended, or the user has ended the run before.
+        The number that compares runs, see `Objective`: the best pose error in m (less is better),
+        or the best mean reward (more is better). None if nothing could be measured: no episode has
+        ended, or the user has ended the run before.
 
     Raises:
         UserError: a mistake that the user can correct. The run folder is removed, unless the
@@ -156,59 +141,57 @@ def train(
         RestartRequest: the policy of a population goes on with other settings in a new process,
             `pbt.restart.start_again`; everything of this one is closed.
     """
-    command = command or TypedCommand()
-    config = _checked(cfg)
+    config, stop = _checked(cfg), stop or StopRequest()
     joined = _joined_processes(config)
     with _memory_errors_explained(config), joined as group, ExitStack() as stack:
         launch = _read_launch_together(config, group, stack)
-        return _train(launch, command, group, stop or StopRequest(), direction)
-
-
-def _train(
-    launch: _Launch, command: TypedCommand, group: ProcessGroup, stop: StopRequest, direction: str
-) -> float | None:
-    """Train in a run folder that the main process has reserved; see `train`."""
-    with _open_tasks(launch) as make_task, ExitStack() as stack:
+        make_task = stack.enter_context(_open_tasks(launch))
         # Everything that can be refused is made before the run folder exists.
         with group.together():
-            pbt = stack.enter_context(_population(launch, group, stop))
+            population = population_of(
+                launch.tree, launch.seed, launch.folder.train_dir, decides=group.is_main
+            )
+            pbt = stack.enter_context(population)
             viewers = Viewers(launch.settings)
             task = make_task(launch.num_envs)
             params = _read_params(launch, task)
             check_training_memory(params, task, launch.num_envs)
             params["config"]["print_stats"] = False
             measurement = _measurement_observer(params["config"], task, make_task)
-            has_pose_error = measurement is not None and hasattr(task, "motion_lib")
-            objective = objective_of(params["config"], has_pose_error)
+            has_clips = hasattr(task, "motion_lib")
+            objective = objective_of(params["config"], has_clips and measurement is not None)
             objective.check_direction(direction, launch.task_name)
             observers = TrainingObservers(
-                launch.tree,
-                launch.settings,
-                launch.folder.name,
-                measurement,
-                task.max_episode_length,
-                stop,
-                pbt,
+                launch, launch.folder.name, measurement, task.max_episode_length, stop, pbt
             )
             if pbt is not None:
+                pbt.is_stopping = lambda: stop.requested
+                pbt.share = lambda request: RestartRequest.of(
+                    group.from_main(request and request.content)
+                )
                 pbt.check_settings = functools.partial(_check_settings, launch, task)
         with group.together():
             if group.is_main:
-                launch.folder.create(launch.repeatable)
-                _log_opening(launch, hasattr(task, "motion_lib"), objective)
-        observers.begin = launch.begin
-        task.listeners.append(DivergenceFiles(task, launch.folder.path, group.rank))
+                launch.folder.create(_stored_config(launch))
+                _log_opening(launch, has_clips)
+                if objective is POSE_ERROR:
+                    log.info(
+                        "the style reward falls at first, while the discriminator learns; longer"
+                        " episodes and a smaller pose error show that the policy learns"
+                    )
         if group.size > 1:
             sizes = f"{group.size} ranks x {launch.num_envs} environments"
             log.info("%s, %d thread(s) each", sizes, params["torch_threads"])
-        measures_end = objective is POSE_ERROR or observers.chooses_best
+        task.listeners.append(DivergenceFiles(task, launch.folder.path, group.rank))
+        observers.begin = functools.partial(_begin, launch.folder)
+        measures_end = group.is_main and (objective is POSE_ERROR or observers.chooses_best)
 
         def run_agent() -> None:
             viewers.start(task, launch.folder.path, stop.request)
             with stop, _output_to_log(), group.lost_peers_explained():
                 runner = _load_runner(params, task, observers)
                 runner.run({"train": True, "play": False, **launch.overrides})
-                if group.is_main and measures_end and not stop.requested:
+                if measures_end and not stop.requested:
                     observers.evaluate_end()
 
         try:
@@ -217,15 +200,18 @@ def _train(
             observers.close_log()
             viewers.close()  # before wandb: its run gets the last videos
             observers.close_wandb()
-        best = observers.best(objective) if group.is_main else None
+        best = None
         if group.is_main:
-            _save_best(observers.agent, launch)
-            if best is not None:
-                log.info("%s%s", objective.describe(best), observers.how_best_was_measured)
-            _report_end(launch, command, stop.requested, observers.chooses_best)
+            # rl_games writes the best checkpoint only after `save_best_after` epochs.
+            if not launch.checkpoint_file().exists():
+                _save(observers.agent, launch)
+            best = observers.best(objective)
+            command = command or TypedCommand()
+            _report_end(launch, command, group, stop.requested, observers.chooses_best)
         if interrupt is not None:
             raise interrupt
-        _check_saved(launch.folder)
+        if launch.folder.save_failed:
+            raise _unsaved(launch.folder)
         return best
 
 
@@ -236,12 +222,7 @@ def _guarded(
     group: ProcessGroup,
     stop: StopRequest,
 ) -> KeyboardInterrupt | None:
-    """Train until the end; save what there is if the user ends it. Return a second Ctrl-C.
-
-    Raises:
-        UserError: as `train`.
-        RestartRequest: as `train`.
-    """
+    """Train until the end; save what there is if the user ends it. Return a second Ctrl-C."""
     try:
         run_agent()
     except NotFiniteError:
@@ -264,27 +245,17 @@ def _guarded(
 
 
 @torch_settings_kept()
-def play(
-    cfg: DictConfig | CheckedConfig, command: TypedCommand | None = None, *, direction: str = ""
-) -> float | None:
-    """Play the policy of a composed tree's checkpoint, and log what it reaches.
-
-    Args:
-        cfg: as in `run`.
-        command: as in `run`.
-        direction: as in `run`.
+def play(cfg: DictConfig | CheckedConfig, *, direction: str = "") -> float | None:
+    """Play the policy of a composed tree's checkpoint, and log what it reaches; see `run`.
 
     Returns:
         The pose error in m or the mean reward of the episodes, whichever the training of such a
         policy returns. None if nothing was measured: the window was closed before, or the player
         is not this project's.
-
-    Raises:
-        UserError: a mistake that the user can correct.
     """
     launch = _read_launch(_checked(cfg))
     with (
-        _memory_errors_explained(launch.config),
+        _memory_errors_explained(launch),
         _open_tasks(launch) as make_task,
         Viewers(launch.settings) as viewers,
     ):
@@ -293,10 +264,20 @@ def play(
         objective.check_direction(direction, launch.task_name)
         folder = run_of_checkpoint(launch.checkpoint) or launch.folder.path
         stamp = Path(launch.folder.name).name.removeprefix(launch.name)
-        viewers.start(player.env, folder, _end_play, f"play{stamp}")
+
+        def end() -> None:
+            raise WindowClosedError
+
+        viewers.start(player.env, folder, end, f"play{stamp}")
         with contextlib.suppress(WindowClosedError), _output_to_log():
             player.run()
-    return _played(getattr(player, "result", None), objective)
+    result = getattr(player, "result", None)
+    if result is None:
+        return None
+    value = result.reward
+    if objective is POSE_ERROR:
+        value = math.nan if result.imitation is None else result.imitation.pose_error_m
+    return value if math.isfinite(value) else None
 
 
 @contextmanager
@@ -304,9 +285,6 @@ def load_player(cfg: DictConfig) -> Iterator[Any]:
     """Give rl_games' player of a composed tree's checkpoint, and free its task at the end.
 
     `player.env` is the task, `player.act(obs)` returns actions, as for `evaluation.evaluate`.
-
-    Args:
-        cfg: the tree.
 
     Raises:
         UserError: the tree cannot be used, or the checkpoint is of another network or task.
@@ -320,32 +298,20 @@ def load_player(cfg: DictConfig) -> Iterator[Any]:
 
 
 @dataclass(frozen=True)
-class _Launch:
-    """What a configuration says about a run, before anything is made.
+class _Launch(CheckedConfig):
+    """A configuration with what it means for a run.
 
     Attributes:
-        config: the checked configuration.
         seed: of the agent.
         name: of the checkpoints, the last part of the run's name.
         folder: of the run; only a training makes it.
         checkpoint: path of the file that the run starts from, '' for none.
     """
 
-    config: CheckedConfig
     seed: int
     name: str
     folder: RunFolder
     checkpoint: str
-
-    @property
-    def settings(self) -> LaunchSettings:
-        """The root of the tree."""
-        return self.config.settings
-
-    @property
-    def tree(self) -> dict[str, Any]:
-        """The resolved tree."""
-        return self.config.tree
 
     @property
     def task_name(self) -> str:
@@ -358,32 +324,12 @@ class _Launch:
         return int(self.tree["task"]["env"]["numEnvs"])
 
     @property
-    def repeatable(self) -> DictConfig:
-        """The tree as config.yaml stores it: with the drawn seed, and nothing to resume.
-
-        Values that a command line takes from elsewhere (`${oc.env:X}`) are written out: a file that
-        reads them could not be used again.
-        """
-        cfg = self.config.cfg.copy()
-        for path, text in leaves(OmegaConf.to_container(cfg, resolve=False)):
-            if isinstance(text, str) and forbidden_resolver(text):
-                OmegaConf.update(cfg, path, select(self.tree, path))
-        with open_dict(cfg):
-            cfg.seed, cfg.resume = self.seed, ""
-        return cfg
-
-    @property
     def overrides(self) -> dict[str, Any]:
         """What replaces the first parameters of the networks, as arguments of rl_games' Runner."""
         return {"checkpoint": self.checkpoint or None, "sigma": self.settings.sigma}
 
-    def begin(self) -> None:
-        """Note in the run folder that the training runs with these settings."""
-        self.folder.begin()
-        mark_run(self.folder.path)
-
-    def checkpoint_file(self, suffix: str) -> Path:
-        """Return the path of a checkpoint of the run."""
+    def checkpoint_file(self, suffix: str = "") -> Path:
+        """Return the path of a checkpoint of the run; without a suffix of the best one."""
         return self.folder.checkpoints / f"{self.name}{suffix}.pth"
 
 
@@ -405,7 +351,7 @@ def _read_launch(config: CheckedConfig) -> _Launch:
                 " checkpoints.run_config.resumed_tree(['resume=...'])"
             )
         folder = RunFolder.at(run_of_file(Path(settings.resume)), train_dir)
-        return _Launch(config, seed, name.name, folder, settings.resume)
+        return _Launch(settings, tree, config.cfg, seed, name.name, folder, settings.resume)
     if exact := settings.full_experiment_name:
         folder = RunFolder(train_dir, str(read_run_name(exact, "full_experiment_name")))
     else:
@@ -415,17 +361,12 @@ def _read_launch(config: CheckedConfig) -> _Launch:
     checkpoint = checkpoints.checkpoint_of_tree(tree, given, train_dir)
     if checkpoint:
         log.info("checkpoint: %s", checkpoint)
-    return _Launch(config, seed, name.name, folder, checkpoint)
+    return _Launch(settings, tree, config.cfg, seed, name.name, folder, checkpoint)
 
 
 @contextmanager
 def _joined_processes(config: CheckedConfig) -> Iterator[ProcessGroup]:
-    """Give the processes that train together: those that torchrun has started, or this one.
-
-    Raises:
-        ConfigError: torchrun and `multi_gpu` contradict each other.
-        UserError: as `ProcessGroup.fail_together`.
-    """
+    """Give the processes that train together: those that torchrun has started, or this one."""
     settings = config.settings
     if not settings.multi_gpu and started_by_torchrun():
         raise ConfigError(
@@ -444,10 +385,10 @@ def _joined_processes(config: CheckedConfig) -> Iterator[ProcessGroup]:
 
 
 def _read_launch_together(config: CheckedConfig, group: ProcessGroup, stack: ExitStack) -> _Launch:
-    """Return the launch of this process; what all processes need to agree on, the main one decides.
+    """Return the launch of this process.
 
-    That is the run folder, which it reserves until `stack` ends, the checkpoint, the precision and
-    the seed, to which each process adds its rank.
+    The main process decides on the run folder, which it reserves until `stack` ends, the
+    checkpoint, the precision and the seed, to which each process adds its rank.
     """
     main: _Launch | None = None
     with group.together():
@@ -459,7 +400,7 @@ def _read_launch_together(config: CheckedConfig, group: ProcessGroup, stack: Exi
                 device = config.settings.rl_device
                 decided[_PRECISION] = resolve_mixed_precision(precision, device)
             if decided:
-                main = replace(main, config=config.changed(decided))
+                main = replace(main, **vars(config.changed(decided)))
             stack.enter_context(main.folder)
     decided = group.from_main(
         main
@@ -480,32 +421,9 @@ def _read_launch_together(config: CheckedConfig, group: ProcessGroup, stack: Exi
     return _read_launch(config.changed({**decided, **_QUIET, "rl_device": device}))
 
 
-@contextmanager
-def _population(
-    launch: _Launch, group: ProcessGroup, stop: StopRequest
-) -> Iterator[PBTObserver | None]:
-    """Give the observer that compares the policy with its population, if it has one.
-
-    Of several processes that train the policy the main one decides, and all restart.
-    """
-    with population_of(
-        launch.tree, launch.seed, launch.folder.train_dir, decides=group.is_main
-    ) as pbt:
-        if pbt is not None:
-            pbt.is_stopping = lambda: stop.requested
-            pbt.share = lambda request: RestartRequest.of(
-                group.from_main(request.content if request is not None else None)
-            )
-        yield pbt
-
-
 def _check_settings(launch: _Launch, task: VecTask, settings: Mapping[str, float]) -> None:
-    """Check changed settings, numbers by their key path, as a start would.
-
-    Raises:
-        UserError: it could not begin with them.
-    """
-    changed = replace(launch, config=launch.config.changed(settings))
+    """Check changed settings, numbers by their key path, as a start would."""
+    changed = replace(launch, **vars(launch.changed(settings)))
     with _quiet("isaacgymenvs_lite"), _open_tasks(changed) as make_task:
         make_task(1)
         _read_params(changed, task)
@@ -556,10 +474,6 @@ def _read_params(launch: _Launch, task: VecTask) -> dict[str, Any]:
         names=known_names(build_runner()),
     )
     check_env_name(params)
-    if not isinstance(save_buffers := params["config"].get("save_buffers", True), bool):
-        raise ConfigError(
-            f"train.params.config.save_buffers={save_buffers!r}: expected True or False"
-        )
     params["config"] |= {"train_dir": str(launch.folder.train_dir), "resume": settings.resume}
     if launch.checkpoint:  # the path that `last` or a name means, for agents that look into it
         params |= {"load_checkpoint": True, "load_path": launch.checkpoint}
@@ -575,10 +489,7 @@ def _load_runner(
 ) -> Any:
     """Return rl_games' Runner that has loaded a train file, and whose agent or player gets a task.
 
-    Args:
-        params: the section `params` of the train file.
-        task: the task.
-        observer: of an agent; None for a player.
+    An agent needs an observer, a player has none.
     """
     from isaacgymenvs_lite.registration import build_runner
     from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
@@ -595,11 +506,7 @@ def _load_runner(
 
 
 def _make_player(launch: _Launch, task: VecTask) -> Any:
-    """Return rl_games' player of the checkpoint, in a task.
-
-    Raises:
-        CheckpointError: the checkpoint is of another network or task.
-    """
+    """Return rl_games' player of the checkpoint, in a task."""
     if not launch.checkpoint:
         log.warning("test=True without checkpoint=: playing an untrained policy")
     with _quiet("isaacgymenvs_lite.config"):  # notes about the training's minibatches
@@ -623,11 +530,6 @@ def _measurement_observer(
     """
     has_motions = hasattr(task, "motion_lib")
     frequency = config.get("imitation_frequency", _DEFAULT_IMITATION_FREQUENCY)
-    if not isinstance(frequency, int) or frequency < 0:
-        raise ConfigError(
-            f"train.params.config.imitation_frequency={frequency!r}: expected epochs between"
-            " evaluations, 0 for none"
-        )
     if frequency == 0 or (not has_motions and task.max_episode_length > _LONGEST_MEASURED):
         return None
     if not has_motions and (epochs := config.get("max_epochs", -1)) > 0:
@@ -646,7 +548,22 @@ def _measurement_observer(
 # --- the start and the end of a run ---------------------------------------------------------
 
 
-def _log_opening(launch: _Launch, has_clips: bool, objective: Objective) -> None:
+def _stored_config(launch: _Launch) -> DictConfig:
+    """Return the tree as config.yaml stores it: with the drawn seed, and nothing to resume.
+
+    Values that a command line takes from elsewhere (`${oc.env:X}`) are written out: a file that
+    reads them could not be used again.
+    """
+    cfg = launch.cfg.copy()
+    for path, text in leaves(OmegaConf.to_container(cfg, resolve=False)):
+        if isinstance(text, str) and forbidden_resolver(text):
+            OmegaConf.update(cfg, path, select(launch.tree, path))
+    with open_dict(cfg):
+        cfg.seed, cfg.resume = launch.seed, ""
+    return cfg
+
+
+def _log_opening(launch: _Launch, has_clips: bool) -> None:
     """Log what is trained on what, where its results are, and how to look at them."""
     tree, folder = launch.tree, launch.folder
     clip = tree["task"]["env"].get("motion_file")
@@ -660,50 +577,34 @@ def _log_opening(launch: _Launch, has_clips: bool, objective: Objective) -> None
         "its curves: tensorboard --logdir %s; a page: %s",
         *(folder.train_dir, package_command("report", str(folder.path))),
     )
-    if objective is POSE_ERROR:
-        log.info(
-            "the style reward falls at first, while the discriminator learns; longer episodes and a"
-            " smaller pose error show that the policy learns"
-        )
 
 
-def _played(result: EvaluationResult | None, objective: Objective) -> float | None:
-    """Return what `play` returns: a pose error in m, or a mean reward; None if not measured."""
-    if result is None:
-        return None
-    value = result.reward
-    if objective is POSE_ERROR:
-        value = math.nan if result.imitation is None else result.imitation.pose_error_m
-    return value if math.isfinite(value) else None
+def _begin(folder: RunFolder) -> None:
+    """Note in the run folder that the training runs with these settings."""
+    folder.begin()
+    mark_run(folder.path)
 
 
-def _end_play() -> None:
-    raise WindowClosedError
-
-
-def _save(agent: Any, launch: _Launch, suffix: str) -> None:
-    """Write a checkpoint of the agent, if there is one."""
-    if agent is not None:
-        with _output_to_log():
+def _save(agent: Any, launch: _Launch, suffix: str = "") -> None:
+    """Write a checkpoint of the agent, if there is one; without a suffix the run's best."""
+    if agent is None:
+        return
+    with _output_to_log():
+        if not suffix and hasattr(agent, "save_best"):  # not an agent of another project
+            agent.save_best()
+        else:
             agent.save(str(launch.checkpoint_file(suffix).with_suffix("")))
 
 
-def _save_best(agent: Any, launch: _Launch) -> None:
-    """Write the best checkpoint unless rl_games has: it does after `save_best_after` epochs."""
-    if agent is None or launch.checkpoint_file("").exists():
-        return
-    with _output_to_log():
-        if hasattr(agent, "save_best"):
-            agent.save_best()
-        else:  # of another project
-            agent.save(str(launch.checkpoint_file("").with_suffix("")))
-
-
 def _report_end(
-    launch: _Launch, command: TypedCommand, was_stopped: bool, plays_best: bool
+    launch: _Launch,
+    command: TypedCommand,
+    group: ProcessGroup,
+    was_stopped: bool,
+    plays_best: bool,
 ) -> None:
     """Log where the best or newest checkpoint is, and the commands that play it or go on."""
-    best, newest = launch.checkpoint_file(""), launch.folder.newest_checkpoint()
+    best, newest = launch.checkpoint_file(), launch.folder.newest_checkpoint()
     if newest is None:
         return
     played = best if plays_best and best.exists() else newest
@@ -714,21 +615,14 @@ def _report_end(
         play = command.play(launch.task_name, played.absolute(), is_newest=played == newest)
     log.info("saved %s; play it: %s", played, play)
     if was_stopped:
-        resume = command.resume(launch.folder.path, current_group().size)
-        log.info("go on with it: %s", resume)
+        log.info("go on with it: %s", command.resume(launch.folder.path, group.size))
 
 
-def _check_saved(folder: RunFolder) -> None:
-    """Check that the end of a training is in a file.
-
-    Raises:
-        CheckpointError: the last checkpoint could not be written anywhere.
-    """
-    if not folder.save_failed:
-        return
+def _unsaved(folder: RunFolder) -> CheckpointError:
+    """Return the error for a last checkpoint that could not be written anywhere."""
     newest = folder.newest_checkpoint()
     what = f"the newest one is {newest}" if newest else "nothing of this training is saved"
-    raise CheckpointError(
+    return CheckpointError(
         f"the last checkpoint could not be written, neither to {folder.checkpoints} nor below the"
         f" temporary folder: {what}; free some space, or choose another folder with"
         " +train.params.config.train_dir=FOLDER"
@@ -737,11 +631,7 @@ def _check_saved(folder: RunFolder) -> None:
 
 @contextmanager
 def _memory_errors_explained(config: CheckedConfig) -> Iterator[None]:
-    """Turn a lack of memory into one line about the settings that need less.
-
-    Raises:
-        ConfigError: Python, torch or MuJoCo could not get memory.
-    """
+    """Turn a lack of memory in Python, torch or MuJoCo into one line about the settings."""
     try:
         yield
     except (MemoryError, RuntimeError, ValueError) as error:
@@ -781,8 +671,6 @@ class _LogStream(io.TextIOBase):
         return len(text)
 
 
-@contextmanager
-def _output_to_log() -> Iterator[None]:
+def _output_to_log() -> contextlib.redirect_stdout[_LogStream]:
     """Send what rl_games prints to the log, as debug output."""
-    with contextlib.redirect_stdout(_LogStream()):
-        yield
+    return contextlib.redirect_stdout(_LogStream())

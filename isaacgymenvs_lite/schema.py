@@ -60,7 +60,6 @@ def setting(
     minimum: float | None = None,
     maximum: float | None = None,
     above: float | None = None,
-    below: float | None = None,
     choices: Iterable[Any] | None = None,
     min_length: int = 0,
     length: int | None = None,
@@ -74,7 +73,6 @@ def setting(
         minimum: smallest allowed number, of every entry if the field is a list.
         maximum: largest allowed number.
         above: the number must be larger than this.
-        below: the number must be smaller than this.
         choices: the allowed values; text is compared exactly.
         min_length: least number of entries of a list.
         length: number of entries of a list, if only one is right.
@@ -85,10 +83,9 @@ def setting(
         "minimum": minimum,
         "maximum": maximum,
         "above": above,
-        "below": below,
         "choices": None if choices is None else tuple(choices),
-        "min_length": min_length if length is None else length,
-        "max_length": length,
+        "min_length": min_length,
+        "length": length,
         "blank": blank,
     }
     if isinstance(default, (list, dict)):
@@ -100,7 +97,7 @@ def read_section(
     cls: type[T],
     mapping: Mapping[Any, Any] | None,
     where: str,
-    ignored: Iterable[str] = (),
+    ignored: Iterable[str] | None = (),
     *,
     complete: bool = False,
 ) -> T:
@@ -114,7 +111,8 @@ def read_section(
         cls: a dataclass whose fields are the keys; `setting` adds limits and choices.
         mapping: plain or OmegaConf; None counts as empty.
         where: path of the section, for messages: "task.env"; "" for the root.
-        ignored: keys that other code reads, or that nothing reads on purpose.
+        ignored: keys that other code reads, or that nothing reads on purpose; None: other code
+            reads all other keys.
         complete: the section has all its keys, so that any similar key is misspelt.
 
     Raises:
@@ -122,60 +120,51 @@ def read_section(
             unknown key looks like a misspelt one. Unknown keys that resemble nothing are named in
             one log line instead, because published files carry keys that nothing reads.
     """
-    values = _plain_mapping(mapping, where)
+    values = as_mapping(mapping, where)
     by_key = {_key(field): field for field in dataclasses.fields(cls)}
-    check_unknown_keys(values, by_key, where, ignored, complete=complete)
-    types_by_name = typing.get_type_hints(cls)
+    if ignored is not None:
+        check_unknown_keys(values, by_key, where, ignored, complete=complete)
+    kinds = typing.get_type_hints(cls)
     arguments: dict[str, Any] = {}
     for key, field in by_key.items():
+        kind, path = kinds[field.name], _join(where, key)
         if key in values:
-            path = _join(where, key)
-            kind = types_by_name[field.name]
-            arguments[field.name] = _read_value(plain(values[key]), kind, field, path)
+            value = plain(values[key])
+            try:
+                arguments[field.name] = _convert(value, kind, field, path)
+            except ConfigError:
+                raise
+            except (TypeError, ValueError, OverflowError):
+                expected = _expectation(kind, field)
+                given = _GIVEN.repr(value)
+                raise ConfigError(f"{path}: got {given}, expected {expected}") from None
         elif field.default is MISSING and field.default_factory is MISSING:
-            expected = _expectation(types_by_name[field.name], field)
-            raise missing_key(key, values, by_key, where, f"expected {expected}")
+            hint = f"expected {_expectation(kind, field)}"
+            raise missing_key(key, values, by_key, where, hint)
     return cls(**arguments)
-
-
-def convert_section(cls: type[T], section: Any, where: str, ignored: Iterable[str] = ()) -> T:
-    """Check a plain section as `read_section`, and replace its values by the converted ones.
-
-    For sections that other packages read as they are. The fields of `cls` have their keys' names.
-
-    Args:
-        cls: as `read_section`.
-        section: of the tree, changed in place.
-        where: as `read_section`.
-        ignored: likewise.
-
-    Raises:
-        ConfigError: as `read_section`.
-    """
-    settings = read_section(cls, section, where, ignored)
-    for key in keys_of(cls) & set(section or ()):
-        section[key] = getattr(settings, key)
-    return settings
-
-
-def convert_keys(cls: type[T], section: Any, where: str) -> T:
-    """Do the same with a section whose other keys are read elsewhere, see `read_keys`."""
-    return convert_section(cls, section, where, _other_keys(cls, section))
 
 
 def read_keys(cls: type[T], mapping: Mapping[Any, Any] | None, where: str) -> T:
     """Fill the settings dataclass `cls` from a section whose other keys are read elsewhere.
 
-    Args:
-        cls: as `read_section`.
-        mapping: likewise.
-        where: likewise.
-
     Raises:
-        ConfigError: a value has a wrong type or is out of range, or a required key is missing.
+        ConfigError: as `read_section`.
     """
-    values = _plain_mapping(mapping, where)
-    return read_section(cls, values, where, _other_keys(cls, values))
+    return read_section(cls, mapping, where, ignored=None)
+
+
+def convert_section(
+    cls: type[T], section: Any, where: str, ignored: Iterable[str] | None = ()
+) -> T:
+    """Check a plain section as `read_section`, and replace its values by the converted ones.
+
+    This is for sections that other packages read as they are. The fields of `cls` have their keys'
+    names.
+    """
+    settings = read_section(cls, section, where, ignored)
+    for key in keys_of(cls) & set(section or ()):
+        section[key] = getattr(settings, key)
+    return settings
 
 
 def keys_of(cls: type[DataclassInstance]) -> frozenset[str]:
@@ -199,24 +188,20 @@ def check_unknown_keys(
     Raises:
         ConfigError: an unknown key looks like a misspelt one.
     """
-    known, ignored = list(known), set(ignored)
+    expected = {*known, *ignored}
     unread: list[str] = []
     for key in values:
-        if key in known or key in ignored:
+        if key in expected:
             continue
-        alike = [
-            other
-            for other in (*known, *ignored)
-            if abs(len(_fold(other)) - len(_fold(str(key)))) <= _MISSPELT_LENGTH
-        ]
-        near = nearest(str(key), alike, _MISSPELT_RATIO)
+        path, size = _join(where, str(key)), len(_fold(str(key)))
+        alike = [other for other in expected if abs(len(_fold(other)) - size) <= _MISSPELT_LENGTH]
+        near = nearest(str(key), sorted(alike), _MISSPELT_RATIO)
         if near is not None and (complete or near not in values):
             raise ConfigError(
-                f"unknown key '{_join(where, str(key))}' (did you mean '{near}'?); "
-                "correct or remove it"
+                f"unknown key '{path}' (did you mean '{near}'?); correct or remove it"
             )
-        unread.append(_join(where, str(key)))
-    unread = [path for path in unread if path not in LOGGED_KEYS]
+        if path not in LOGGED_KEYS:
+            unread.append(path)
     if unread:
         LOGGED_KEYS.update(unread)
         _log.warning("nothing reads %s", ", ".join(unread))
@@ -247,7 +232,7 @@ def select(tree: Any, path: str) -> Any:
 
 
 def leaves(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield paths and values of all in nested mappings that is no mapping, or an empty one.
+    """Yield path and value of everything in nested mappings that is no mapping, or an empty one.
 
     Args:
         tree: the mappings.
@@ -258,18 +243,6 @@ def leaves(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
             yield from leaves(value, f"{path}.{key}" if path else str(key))
     else:
         yield path, tree
-
-
-def check_mapping(tree: Any, path: str) -> None:
-    """Check that a section of nested dictionaries is one, if it is there and written out.
-
-    Raises:
-        ConfigError: it is a list or a value.
-    """
-    section = select(tree, path)
-    is_elsewhere = isinstance(section, str) and section.startswith("${")
-    if section is not None and not is_elsewhere:
-        _plain_mapping(section, path)
 
 
 def plain(value: Any) -> Any:
@@ -287,19 +260,17 @@ def plain(value: Any) -> Any:
         raise ConfigError(f"{where}: {str(error).splitlines()[0]}") from error
 
 
-def _other_keys(cls: type[DataclassInstance], values: Any) -> list[Any]:
-    known = keys_of(cls)
-    return [key for key in values if key not in known] if isinstance(values, Mapping) else []
+def as_mapping(section: Any, where: str) -> dict[str, Any]:
+    """Return a section as a plain dictionary; None is an empty one.
 
-
-def _plain_mapping(mapping: Any, where: str) -> dict[str, Any]:
-    if mapping is None:
-        return {}
-    values = plain(mapping)
-    if not isinstance(values, Mapping):
+    Raises:
+        ConfigError: it is a list or a value.
+    """
+    values = plain(section)
+    if not isinstance(values, Mapping | None):
         given = _GIVEN.repr(values)
         raise ConfigError(f"{where}: got {given}, expected a mapping of keys to values")
-    return dict(values)
+    return dict(values or {})
 
 
 def _key(field: Field) -> str:
@@ -317,25 +288,16 @@ def _fold(key: str) -> str:
 # --- one value -----------------------------------------------------------------------------------
 
 
-def _read_value(value: Any, kind: Any, field: Field, path: str) -> Any:
+def _convert(value: Any, kind: Any, field: Field, path: str) -> Any:
     """Return the plain `value` as the type `kind`, within the limits of `field`.
 
     Raises:
-        ConfigError: it cannot be; the message names `path`, the value and what was expected.
+        ValueError: it is not what was expected.
+        ConfigError: so is something inside it.
     """
-    try:
-        return _convert(value, kind, field, path)
-    except (TypeError, ValueError, OverflowError) as error:
-        if isinstance(error, ConfigError):
-            raise
-        expected = _expectation(kind, field)
-        raise ConfigError(f"{path}: got {_GIVEN.repr(value)}, expected {expected}") from None
-
-
-def _convert(value: Any, kind: Any, field: Field, path: str) -> Any:
-    """Return `value` as `kind`; a ValueError means "not what was expected"."""
+    limits = field.metadata
     optional, kind = _split_optional(kind)
-    if value is None or (value == "" and field.metadata.get("blank")):
+    if value is None or (value == "" and limits.get("blank")):
         if optional:
             return None
         raise ValueError
@@ -345,75 +307,55 @@ def _convert(value: Any, kind: Any, field: Field, path: str) -> Any:
         return read_section(kind, value, path)
     origin = typing.get_origin(kind) or kind
     if origin in (tuple, list):
-        return origin(_convert_entries(value, kind, field, path))
+        if isinstance(value, str) or not isinstance(value, Sequence):
+            raise ValueError
+        exact = limits.get("length")
+        if len(value) < limits.get("min_length", 0) or exact not in (None, len(value)):
+            raise ValueError
+        entry = (typing.get_args(kind) or (Any,))[0]
+        return origin(_convert(each, entry, field, f"{path}[{i}]") for i, each in enumerate(value))
     if origin in (dict, Mapping):
         if not isinstance(value, Mapping):
             raise ValueError
         return dict(value)
     result = _convert_scalar(value, kind)
-    _check_limits(result, field)
+    choices = limits.get("choices")
+    if choices is not None and result not in choices:
+        raise ValueError
+    if isinstance(result, (int, float)) and not isinstance(result, bool):
+        least, most, above = (limits.get(name) for name in ("minimum", "maximum", "above"))
+        if (
+            (least is not None and result < least)
+            or (most is not None and result > most)
+            or (above is not None and result <= above)
+        ):
+            raise ValueError
     return result
 
 
-def _convert_entries(value: Any, kind: Any, field: Field, path: str) -> Iterable[Any]:
-    if isinstance(value, str) or not isinstance(value, Sequence):
-        raise ValueError
-    longest = field.metadata.get("max_length")
-    if len(value) < field.metadata.get("min_length", 0) or len(value) > (longest or len(value)):
-        raise ValueError
-    entry_kind = (typing.get_args(kind) or (Any,))[0]
-    return [
-        _convert(entry, entry_kind, field, f"{path}[{index}]") for index, entry in enumerate(value)
-    ]
-
-
 def _convert_scalar(value: Any, kind: Any) -> Any:
-    if kind is Any:
+    if kind is Any or (kind is bool and isinstance(value, bool)):
         return value
-    if kind is bool:
-        if not isinstance(value, bool):
-            raise ValueError
-        return value
-    if kind is str and not isinstance(value, bool):
-        if not isinstance(value, (str, int, float)):
-            raise ValueError
-        return str(value)  # YAML takes a name such as 2026 for a number
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise ValueError
+    if kind is str:
+        return str(value)  # YAML takes a name such as 2026 for a number
     if kind is int and isinstance(value, int):
         return value
+    if kind not in (int, float):
+        raise ValueError
     number = float(value)
     if math.isnan(number) or (kind is int and not number.is_integer()):
         raise ValueError
-    if kind in (int, float):
-        return kind(number)
-    raise NotImplementedError(f"settings of type {kind} are not supported")
-
-
-def _check_limits(value: Any, field: Field) -> None:
-    limits = field.metadata
-    choices = limits.get("choices")
-    if choices is not None and value not in choices:
-        raise ValueError
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return
-    if (
-        (limits.get("minimum") is not None and value < limits["minimum"])
-        or (limits.get("maximum") is not None and value > limits["maximum"])
-        or (limits.get("above") is not None and value <= limits["above"])
-        or (limits.get("below") is not None and value >= limits["below"])
-    ):
-        raise ValueError
+    return kind(number)
 
 
 def _split_optional(kind: Any) -> tuple[bool, Any]:
     """Split `X | None` into (True, X); any other kind is (False, kind)."""
     if typing.get_origin(kind) not in (typing.Union, types.UnionType):
         return kind is Any, kind
-    members = [member for member in typing.get_args(kind) if member is not type(None)]
-    if len(members) != 1:
-        raise NotImplementedError(f"settings of type {kind} are not supported")
-    return True, members[0]
+    (member,) = (member for member in typing.get_args(kind) if member is not types.NoneType)
+    return True, member
 
 
 _NOUNS = {
@@ -424,50 +366,31 @@ _NOUNS = {
     Any: "a value",
 }
 _PLURALS = {bool: "True or False", int: "whole numbers", float: "numbers", str: "names"}
+_LIMITS = {"minimum": "of at least", "above": "above", "maximum": "of at most"}
 
 
 def _expectation(kind: Any, field: Field) -> str:
     """Describe in words what a field takes."""
     optional, kind = _split_optional(kind)
-    origin = typing.get_origin(kind) or kind
-    choices = field.metadata.get("choices")
-    if origin in (tuple, list):
+    limits = field.metadata
+    choices = limits.get("choices")
+    listed = ", ".join(str(choice) or "''" for choice in choices or ())
+    if (typing.get_origin(kind) or kind) in (tuple, list):
         entry = (typing.get_args(kind) or (Any,))[0]
-        noun = f"a list of {_PLURALS.get(entry, 'values')}"
-        if choices is not None:
-            noun = f"a list out of {', '.join(_word(choice) for choice in choices)}"
-        least, most = field.metadata.get("min_length"), field.metadata.get("max_length")
-        if least and least == most:
-            noun += f" with {least} entries"
-        elif least:
+        noun = (
+            f"a list out of {listed}" if choices else f"a list of {_PLURALS.get(entry, 'values')}"
+        )
+        if exact := limits.get("length"):
+            noun += f" with {exact} entries"
+        elif least := limits.get("min_length"):
             noun += f" with at least {least} entries"
-        elif most:
-            noun += f" with at most {most} entries"
-    elif choices is not None:
-        noun = f"one of {', '.join(_word(choice) for choice in choices)}"
     else:
-        noun = _NOUNS.get(kind, "a mapping of keys to values")
-    noun += _limits_in_words(field)
-    if field.metadata.get("blank"):
+        noun = f"one of {listed}" if choices else _NOUNS.get(kind, "a mapping of keys to values")
+    given = [
+        f"{word} {limits[name]}" for name, word in _LIMITS.items() if limits.get(name) is not None
+    ]
+    if given:
+        noun += f" {' and '.join(given)}"
+    if limits.get("blank"):
         return f"{noun}, or ''"
     return f"{noun}, or null" if optional and kind is not Any else noun
-
-
-def _limits_in_words(field: Field) -> str:
-    limits = field.metadata
-    words = [
-        f"{word} {limits[name]}"
-        for name, word in (
-            ("minimum", "of at least"),
-            ("above", "above"),
-            ("maximum", "of at most"),
-            ("below", "below"),
-        )
-        if limits.get(name) is not None
-    ]
-    return " " + " and ".join(words) if words else ""
-
-
-def _word(choice: Any) -> str:
-    """Return a choice as one types it; nothing at all needs its quotes."""
-    return str(choice) or "''"

@@ -21,6 +21,7 @@ from typing import Any, NoReturn
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 from tqdm import tqdm
 
@@ -30,9 +31,8 @@ from isaacgymenvs_lite.config.compose import HYDRA_VERSION_BASE, ComposeError, e
 from isaacgymenvs_lite.config.launch import read_config
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.run_names import train_dir_of
-from isaacgymenvs_lite.config.staging import ROOT, StagedFiles, staged
-from isaacgymenvs_lite.distributed import started_by_torchrun
-from isaacgymenvs_lite.distributed.restarts import words_after_restart
+from isaacgymenvs_lite.config.staging import ROOT, staged
+from isaacgymenvs_lite.distributed import started_by_torchrun, words_after_restart
 from isaacgymenvs_lite.errors import (
     EXIT_INTERRUPTED,
     EXIT_USER_ERROR,
@@ -46,7 +46,7 @@ from isaacgymenvs_lite.errors import (
 )
 from isaacgymenvs_lite.paths import check_working_folder
 from isaacgymenvs_lite.pbt.restart import RestartRequest, start_again
-from isaacgymenvs_lite.run.sweep import Summary, check_words, is_sweep, run_job, waiting_for_jobs
+from isaacgymenvs_lite.run.sweep import Summary, check_words, run_job, waiting_for_jobs
 from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
 
 log = logging.getLogger(__name__)
@@ -77,7 +77,11 @@ def main() -> None:
     try:
         check_working_folder()
         command = TypedCommand.of_this_process()
-        _go_on_after_restart()
+        if started_by_torchrun():
+            from isaacgymenvs_lite.run.folder import run_folders
+
+            runs = run_folders(train_dir_of(sys.argv[1:]))
+            sys.argv[1:] = words_after_restart(sys.argv[1:], runs) or sys.argv[1:]
         if any(word.startswith("resume=") and word != "resume=" for word in sys.argv[1:]):
             from isaacgymenvs_lite.checkpoints.run_config import resumed_tree  # imports torch
 
@@ -95,15 +99,10 @@ def main() -> None:
 
 
 def _run_hydra(words: Sequence[str], command: TypedCommand) -> None:
-    """Let Hydra compose the configuration and run the job.
-
-    Raises:
-        ConfigError: the configuration cannot be composed.
-        JobError: a launcher has failed, such as a process that was killed.
-    """
+    """Let Hydra compose the configuration and run the job, or the jobs of a sweep."""
     check_words(words)
     Summary.num_failed = 0
-    command = command.after(inherited_settings(words))
+    command = dataclasses.replace(command, words=(*inherited_settings(words), *command.words))
     options, overrides = split_options(complete_arguments(words))
     folders = [
         next((options.pop(name) for name in names if name in options), None)
@@ -112,52 +111,42 @@ def _run_hydra(words: Sequence[str], command: TypedCommand) -> None:
     register_resolvers()
     # Hydra prints its errors itself, over several lines, and exits; in this mode it raises them.
     os.environ["HYDRA_FULL_ERROR"] = "1"
-    with staged(overrides, *folders) as files:
-        launcher = next((word for word in overrides if word.startswith("hydra/launcher=")), None)
-        typed = [part for option in options.items() for part in option if part is not None]
-        sys.argv[1:] = [*typed, *files.words]
-        with waiting_for_jobs() if launcher else contextlib.nullcontext():
-            _compose_and_run(files, command, launcher)
-    if Summary.num_failed:
-        sys.exit(EXIT_FAILED_JOBS)
-
-
-def _compose_and_run(files: StagedFiles, command: TypedCommand, launcher: str | None) -> None:
+    launcher = next((word for word in overrides if word.startswith("hydra/launcher=")), None)
+    waiting = waiting_for_jobs() if launcher else contextlib.nullcontext()
     started, parent = False, os.getpid()
 
     def job(cfg: DictConfig) -> float | None:
         nonlocal started
-        if is_sweep():
+        if HydraConfig.get().mode == RunMode.MULTIRUN:
             return _run_job_of_sweep(cfg, command, parent)
         started = True
         return _run_job(cfg, command)
 
-    program: Callable[..., None] = hydra.main(
-        config_path=str(files.folder), config_name=ROOT, version_base=HYDRA_VERSION_BASE
-    )(job)
-    try:
-        program()
-    except ComposeError as error:
-        if started or isinstance(error, UserError):
+    with staged(overrides, *folders) as files, waiting:
+        typed = [part for option in options.items() for part in option if part is not None]
+        sys.argv[1:] = [*typed, *files.words]
+        program: Callable[..., None] = hydra.main(
+            config_path=str(files.folder), config_name=ROOT, version_base=HYDRA_VERSION_BASE
+        )(job)
+        try:
+            program()
+        except UserError:
             raise
-        raise explain(error, files) from error
-    except UserError:
-        raise
-    except Exception as error:
-        if launcher is None:
-            raise
-        raise JobError(
-            f"{launcher} has failed: {type(error).__name__}: {one_line(error)}; of this batch of"
-            " jobs only their run folders are left"
-        ) from error
+        except Exception as error:
+            if isinstance(error, ComposeError) and not started:
+                raise explain(error, files) from error
+            if launcher is None or isinstance(error, ComposeError):
+                raise
+            raise JobError(
+                f"{launcher} has failed: {type(error).__name__}: {one_line(error)}; of this batch"
+                " of jobs only their run folders are left"
+            ) from error
+    if Summary.num_failed:
+        sys.exit(EXIT_FAILED_JOBS)
 
 
 def split_options(words: Sequence[str]) -> tuple[dict[str, str | None], list[str]]:
-    """Return Hydra's options with their values, and the overrides, which Hydra reads after them.
-
-    Raises:
-        ConfigError: Hydra does not know an option with dashes, as `--task` of ASE's launcher.
-    """
+    """Return Hydra's options with their values, and the overrides, which Hydra reads after them."""
     options, overrides = dict[str, str | None](), list[str]()
     rest = iter(words)
     for word in rest:
@@ -179,17 +168,6 @@ def split_options(words: Sequence[str]) -> tuple[dict[str, str | None], list[str
         else:
             options[name] = next(rest, None)
     return options, overrides
-
-
-def _go_on_after_restart() -> None:
-    """Replace the command line by one that goes on, if torchrun has restarted this process."""
-    if not started_by_torchrun():
-        return
-    from isaacgymenvs_lite.run.folder import run_folders
-
-    runs = run_folders(train_dir_of(sys.argv[1:]))
-    if (words := words_after_restart(sys.argv[1:], runs)) is not None:
-        sys.argv[1:] = words
 
 
 def _run_job(cfg: DictConfig, command: TypedCommand) -> float | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import shlex
 import shutil
 import sys
@@ -40,56 +39,34 @@ class TypedCommand:
         """Return the command line in `sys.argv`."""
         return cls(_program(), tuple(sys.argv[1:]))
 
-    def after(self, first: Sequence[str]) -> TypedCommand:
-        """Return the command that says all about a run: `first`, and what was added.
-
-        Args:
-            first: the settings that the run has from a policy.
-        """
-        return dataclasses.replace(self, words=(*first, *self.words))
-
     def play(self, task: str, checkpoint: Path, *, is_newest: bool = True) -> str:
         """Return the command that plays a checkpoint of the run, for a shell.
 
-        Args:
-            task: name of the task, for a command line without `task=`.
-            checkpoint: the file.
-            is_newest: whether `checkpoint=last` finds it after this run.
+        `task` is for a command line without `task=`. The newest checkpoint is called `last`.
         """
+        typed = {_key(word): word for word in self.words if _key(word) in ("task", "train")}
+        files = [typed.get("task", f"task={task}")]
+        if typed.get("train", "") not in ("", f"train={files[0].partition('=')[2]}PPO"):
+            files.append(typed["train"])
+        # What changes the policy.
+        settings = [
+            word
+            for word in self.words
+            if _key(word).startswith(("task.", "train.")) or _key(word) in _KEPT_KEYS
+        ]
         named = "last" if is_newest and not self.is_job else checkpoint
         played = ["test=True", f"checkpoint={named}", f"num_envs={_NUM_PLAYED}"]
-        return shlex.join([*self.program, *self._task_words(task), *self._details(), *played])
+        kept = _kept_options(self.words)
+        return shlex.join([*self.program, *files, *kept, *settings, *played])
 
     def resume(self, run: Path, num_processes: int = 1) -> str:
-        """Return the command that goes on with the training in a run folder, for a shell.
-
-        Args:
-            run: the folder.
-            num_processes: that train together, on this machine.
-        """
+        """Return the command that goes on with a run, in several processes that train together."""
         words = [*self.program, f"resume={run}"]
         if num_processes > 1:
             start = ["torchrun", "--standalone", f"--nproc-per-node={num_processes}"]
             program = words[1:] if words[0] == _python() else ["--no-python", *words]
             words = [*start, *program, "multi_gpu=True"]
         return shlex.join(words)
-
-    def _task_words(self, default: str) -> list[str]:
-        """Return `task=`, and `train=` unless it is the task's default."""
-        typed = {_key(word): word for word in self.words if _key(word) in ("task", "train")}
-        task = typed.get("task", f"task={default}")
-        train = typed.get("train")
-        is_default = train in (None, f"train={task.partition('=')[2]}PPO")
-        return [task] if is_default or train is None else [task, train]
-
-    def _details(self) -> list[str]:
-        """Return the words that change the policy, or the places of files and runs."""
-        settings = [
-            word
-            for word in self.words
-            if _key(word).startswith(("task.", "train.")) or _key(word) in _KEPT_KEYS
-        ]
-        return [*_kept_options(self.words), *settings]
 
 
 def _key(word: str) -> str:
@@ -98,11 +75,7 @@ def _key(word: str) -> str:
 
 
 def package_command(*words: str) -> str:
-    """Return a command of this package for a shell whose virtual environment may not be active.
-
-    Args:
-        words: its name, such as `check`, and its arguments.
-    """
+    """Return a command of this package, such as `check FILE`, for any shell."""
     is_found = _finds_own(CONSOLE_SCRIPT)
     program = [CONSOLE_SCRIPT] if is_found else [_python(), "-m", PACKAGE]
     return shlex.join([*program, *words])
@@ -115,10 +88,9 @@ def words_of_job(typed: Sequence[str], job: Sequence[str]) -> list[str]:
         typed: the words of the command line, sweeps included.
         job: Hydra's overrides of the job, with names in place of files.
     """
-    options = _kept_options(typed)
     files = {_key(word): word for word in typed if word.endswith((".yaml", ".yml"))}
     settings = [word for word in job if not word.startswith("++task_checkout=")]
-    return [*options, *(files.get(_key(word), word) for word in settings)]
+    return [*_kept_options(typed), *(files.get(_key(word), word) for word in settings)]
 
 
 def _kept_options(words: Sequence[str]) -> list[str]:
@@ -134,7 +106,8 @@ def _kept_options(words: Sequence[str]) -> list[str]:
 def _program() -> tuple[str, ...]:
     """Return the command that started this process, without its settings."""
     # A command of the package is a module that has taken the program's place.
-    *_, first, second, third = ["", "", "", *_orig_program()]
+    before = sys.orig_argv[: max(0, len(sys.orig_argv) - len(sys.argv[1:]))]
+    *_, first, second, third = ["", "", "", *before]
     if (first, second) == ("-m", PACKAGE):
         return (_python(), first, second, third)
     if Path(second).name == CONSOLE_SCRIPT:
@@ -147,11 +120,6 @@ def _program() -> tuple[str, ...]:
     if shutil.which(Path(script).name) is None or not Path(script).is_file():
         return (_python(), "-m", _TRAIN)  # python -c, or a user's own program
     return (_shortest(script),)
-
-
-def _orig_program() -> list[str]:
-    """Return the words of this process before its settings."""
-    return sys.orig_argv[: max(0, len(sys.orig_argv) - len(sys.argv[1:]))]
 
 
 def _shortest(script: str) -> str:

@@ -35,7 +35,8 @@ from isaacgymenvs_lite.config.compose import compose, compose_task
 from isaacgymenvs_lite.config.launch import read_config
 from isaacgymenvs_lite.errors import UserError
 from isaacgymenvs_lite.train import split_options
-from isaacgymenvs_lite.workflows.command import PlaySettings, TrainSettings, read_command
+from isaacgymenvs_lite.workflows.__main__ import read_command
+from isaacgymenvs_lite.workflows.training import PlaySettings, TrainSettings
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -288,8 +289,9 @@ def check_module(module: str, words: Sequence[str]) -> None:
     found = arguments_of(runpy.run_module, module, words)
     if ".workflows" in module:
         is_training = "train" in (*words[:2], module.rpartition(".")[2])
-        command = read_command(TrainSettings if is_training else PlaySettings, found)
-        read_config(compose_task(command.settings.task, command.task_words))
+        verb = TrainSettings if is_training else PlaySettings
+        settings, task_words, _ = read_command(verb, found)
+        read_config(compose_task(settings.task, task_words))
     if module.startswith("benchmarks."):
         check_experiments([*getattr(found, "what", ()), *getattr(found, "targets", ())])
 

@@ -28,8 +28,7 @@ def read_archive(path: Path) -> Any:
         A scalar of numpy is a Python number.
 
     Raises:
-        ArchiveError: the file is damaged, or names anything else, which may be code; nothing was
-            run.
+        ArchiveError: the file is damaged, or names anything else; nothing was run.
         OSError: the file cannot be opened.
     """
     with path.open("rb") as file, warnings.catch_warnings():

@@ -6,6 +6,7 @@ a full unpickler (a stranger's file runs code). The agents and players here use 
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,11 +16,13 @@ from typing import Any
 import numpy as np
 import torch
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from torch import nn
 
 from isaacgymenvs_lite.checkpoints.archive import ArchiveError, read_archive
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
+from isaacgymenvs_lite.config.staging import read_yaml
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.paths import user_path
+from isaacgymenvs_lite.paths import shipped_policies, user_path
 from isaacgymenvs_lite.run.folder import RunFolder, folder_of_checkpoint, newest, runs_below
 from isaacgymenvs_lite.schema import select
 from isaacgymenvs_lite.typed_command import package_command
@@ -30,6 +33,7 @@ log = logging.getLogger(__name__)
 LLC_KEY = "llc"
 """Key of a high level's checkpoint for the low level that it was trained over."""
 
+_LLC_ENTRIES = ("checkpoint", "fingerprint")
 _COMPILED_PREFIX = "_orig_mod."
 # rl_games 1.1.4 (ASE) kept the normalisers beside the model: file key -> prefix in the model.
 _OLD_NORMALIZERS = {"running_mean_std": "running_mean_std", "reward_mean_std": "value_mean_std"}
@@ -40,9 +44,6 @@ _STATE_DICTS = (
     *("model", "actor", "critic", "critic_target", "assymetric_vf_nets"),
     *(*_OLD_NORMALIZERS, "amp_input_mean_std", "advantage_mean_std"),
 )
-# Entries that are whole numbers, and numbers.
-_COUNTS = ("epoch", "frame")
-_NUMBERS = ("last_mean_rewards",)
 _MAX_SHOWN = 80
 
 
@@ -52,34 +53,40 @@ _MAX_SHOWN = 80
 def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
     """Write `state` to `<filename>.pth`; an older file stays whole until the new one is.
 
-    A run folder that was removed is made again. If it cannot be written (read-only, full), the
-    failure is logged, the checkpoint is written to a private folder below the system's temporary
-    one, and the training goes on: losing the run would be worse than losing a file.
-
-    Returns:
-        The file that was written; None if none could be.
+    If the run folder cannot be written (read-only, full, removed), the failure is logged, the
+    checkpoint is written to a private folder below the system's temporary folder, and the training
+    goes on. Returns the file; None if none could be written.
     """
     path = Path(f"{filename}.pth")
     state = plain_numbers(state)
     folder = folder_of_checkpoint(path)
+    saved: Path | None = path
     try:
-        folder.make_again()
         write_atomically(path, state)
-        saved = path
     except OSError as error:
-        saved = _rescue(path, state, folder, error)
+        reason = error.strerror or error
+        try:
+            saved = folder.make_rescue() / path.name
+            write_atomically(saved, state)
+        except OSError as second:
+            saved = None
+            log.error(
+                "cannot write the checkpoint %s (%s), nor below the temporary folder (%s); training"
+                " goes on, free some space before the next save",
+                *(path, reason, second.strerror or second),
+            )
+        else:
+            log.error(
+                "cannot write the checkpoint %s (%s); saved %s instead, training goes on",
+                *(path, reason, saved),
+            )
     folder.save_failed = saved is None
     log.debug("saved %s", saved)
     return saved
 
 
 def write_atomically(path: Path, state: dict[str, Any]) -> None:
-    """Write a checkpoint in one step, see `utils.files`.
-
-    Raises:
-        OSError: the folder cannot be written or is full; no partial file is left.
-        KeyboardInterrupt: the user interrupted it; no partial file is left either.
-    """
+    """Write a checkpoint in one step; after an error no partial file is left."""
     with atomic_write(path) as partial, partial.open("wb") as file:
         try:
             torch.save(state, file)
@@ -91,27 +98,25 @@ def write_atomically(path: Path, state: dict[str, Any]) -> None:
             raise OSError("the disk is full or broken") from error
 
 
-def _rescue(path: Path, state: dict[str, Any], folder: RunFolder, error: OSError) -> Path | None:
-    """Write a checkpoint to the place of rescue; return its path, None if that fails, too."""
-    try:
-        rescued = folder.make_rescue() / path.name
-        write_atomically(rescued, state)
-    except OSError as second_error:
-        log.error(
-            "cannot write the checkpoint %s (%s), nor below the temporary folder (%s); training"
-            " goes on, free some space before the next save",
-            path,
-            error.strerror or error,
-            second_error.strerror or second_error,
-        )
-        return None
-    log.error(
-        "cannot write the checkpoint %s (%s); saved %s instead, training goes on",
-        path,
-        error.strerror or error,
-        rescued,
-    )
-    return rescued
+class Retention:
+    """Keeps the checkpoints of the last `keep` epochs in which periodic ones were written; 0: all.
+
+    It removes only files that were passed to `written`.
+    """
+
+    def __init__(self, keep: int) -> None:
+        self._keep = keep
+        self._files: dict[int, set[Path]] = {}
+
+    def written(self, file: Path, epoch: int) -> None:
+        """Note a checkpoint, or where it was rescued to, and remove those that are too old."""
+        if self._keep == 0:
+            return
+        self._files.setdefault(epoch, set()).add(file)
+        for old in sorted(self._files)[: -self._keep]:
+            for path in self._files.pop(old):
+                with contextlib.suppress(OSError):
+                    path.unlink()
 
 
 def plain_numbers(value: Any) -> Any:
@@ -133,13 +138,12 @@ def plain_numbers(value: Any) -> Any:
 def load_checkpoint(filename: str | Path) -> dict[str, Any]:
     """Load a checkpoint on the CPU without running code from it; see `archive`.
 
-    Accepts files of rl_games 1.6.5, of IsaacGymEnvs and of ASE (whose normalisers are beside the
-    model), and strips the parameter prefix of compiled models. `learning.restoring` checks whether
-    it fits the networks.
+    Accepts files of rl_games 1.6.5, of IsaacGymEnvs and of ASE (whose normalisers are outside of
+    the model), and strips the parameter prefix of compiled models. `learning.restoring` checks
+    whether it fits the networks.
 
     Raises:
-        CheckpointError: the file is missing, damaged, holds anything but tensors and plain
-            containers, or is no checkpoint.
+        CheckpointError: the file is missing or damaged, or is no checkpoint.
     """
     path = Path(filename)
     if not path.is_file():
@@ -152,29 +156,28 @@ def load_checkpoint(filename: str | Path) -> dict[str, Any]:
         raise CheckpointError(
             f"checkpoint={path}: {error}; expected a .pth file that train.py wrote"
         ) from error
-    if not isinstance(state, dict) or not (_has_model(state) or state.keys() >= _SAC_KEYS):
+    has_networks = isinstance(state, dict) and (
+        isinstance(state.get("model"), dict) or state.keys() >= _SAC_KEYS
+    )
+    if not has_networks:
         raise CheckpointError(
             f"checkpoint={path}: holds no model; expected a dictionary with the key 'model' as"
             " rl_games writes it"
         )
-    _unwrap_numbers(state)
-    wrong = next(_wrong_entries(state), None)
-    if wrong is not None:
+    reward = state.get("last_mean_rewards")
+    if isinstance(reward, torch.Tensor) and reward.shape == ():  # first versions' SAC
+        state["last_mean_rewards"] = reward.item()
+    if (wrong := next(_wrong_entries(state), None)) is not None:
         raise CheckpointError(f"checkpoint={path}: {wrong}; expected a file that train.py wrote")
+    for key in ("model", "assymetric_vf_nets"):
+        if key in state:
+            entries = state[key].items()
+            state[key] = {name.replace(_COMPILED_PREFIX, ""): value for name, value in entries}
+    for old, prefix in _OLD_NORMALIZERS.items() if "model" in state else ():
+        for key, value in state.get(old, {}).items():
+            state["model"].setdefault(f"{prefix}.{key}", value)
     log.debug("loaded %s", path)
-    return _modernize(state)
-
-
-def _has_model(state: dict[str, Any]) -> bool:
-    return isinstance(state.get("model"), Mapping)
-
-
-def _unwrap_numbers(state: dict[str, Any]) -> None:
-    """Replace tensors of one number: SAC's best reward was one in the first versions' files."""
-    for key in _NUMBERS:
-        value = state.get(key)
-        if isinstance(value, torch.Tensor) and value.shape == ():
-            state[key] = value.item()
+    return state
 
 
 def _wrong_entries(state: dict[str, Any]) -> Iterator[str]:
@@ -188,26 +191,21 @@ def _wrong_entries(state: dict[str, Any]) -> Iterator[str]:
             if not isinstance(name, str) or not isinstance(value, torch.Tensor):
                 kind = type(value).__name__
                 yield f"{key}.{short(name)} is a {kind}, expected a tensor"
-    for key in _COUNTS:
+    for key in ("epoch", "frame"):
         count = state.get(key, 0)
         if type(count) is not int or count < 0:
             yield f"{key} is {short(count)}, expected a number of at least 0"
-    for key in _NUMBERS:
-        number = state.get(key, 0.0)
-        if type(number) not in (int, float) or math.isnan(number):
-            yield f"{key} is {short(number)}, expected a number"
+    number = state.get("last_mean_rewards", 0.0)
+    if type(number) not in (int, float) or math.isnan(number):
+        yield f"last_mean_rewards is {short(number)}, expected a number"
     llc = state.get(LLC_KEY, {"checkpoint": "", "fingerprint": ""})
-    if not _is_reference(llc):
+    values = [llc.get(key) if isinstance(llc, dict) else None for key in _LLC_ENTRIES]
+    if not all(isinstance(value, str) for value in values):
         yield f"{LLC_KEY} is {short(llc)}, expected the file and the fingerprint of a low level"
     policy = state.get("policy", {"settings": {}})
     settings = policy.get("settings") if isinstance(policy, dict) else None
     if not isinstance(settings, dict) or not all(isinstance(path, str) for path in settings):
         yield f"policy is {short(policy)}, expected the settings of a packed policy"
-
-
-def _is_reference(llc: Any) -> bool:
-    keys = ("checkpoint", "fingerprint")
-    return isinstance(llc, dict) and all(isinstance(llc.get(key), str) for key in keys)
 
 
 def short(value: Any) -> str:
@@ -218,35 +216,50 @@ def short(value: Any) -> str:
     return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
 
 
-def _modernize(state: dict[str, Any]) -> dict[str, Any]:
-    for key in ("model", "assymetric_vf_nets"):
-        if key in state:
-            entries = state[key].items()
-            state[key] = {name.replace(_COMPILED_PREFIX, ""): value for name, value in entries}
-    if "model" not in state:
+def fit_optimizer_state(
+    state: dict[str, Any], optimizer: torch.optim.Optimizer, model: nn.Module
+) -> dict[str, Any]:
+    """Return an optimiser's `state_dict` in the groups of `optimizer`.
+
+    A checkpoint of IsaacGymEnvs has one group, in the order of the model's parameters; an agent
+    with a learning rate for the discriminator has two. torch numbers the parameters group by group,
+    so that the states have to be renumbered.
+
+    Raises:
+        CheckpointError: the state has several groups, and not as many as the optimiser.
+    """
+    groups = state["param_groups"]
+    if len(groups) == len(optimizer.param_groups):
         return state
-    model = state["model"]
-    for old, prefix in _OLD_NORMALIZERS.items():
-        statistics = state.get(old)
-        if isinstance(statistics, Mapping):
-            for key, value in statistics.items():
-                model.setdefault(f"{prefix}.{key}", value)
-    return state
+    if len(groups) != 1:
+        raise CheckpointError(
+            f"the checkpoint's optimiser has {len(groups)} groups of parameters, expected"
+            f" {len(optimizer.param_groups)}: it was trained with"
+            " train.params.config.disc_learning_rate; set it (to learning_rate's value for no"
+            " difference)"
+        )
+    place = {id(parameter): i for i, parameter in enumerate(model.parameters())}
+    # Number in the optimiser -> number in the single group.
+    order = [place[id(p)] for group in optimizer.param_groups for p in group["params"]]
+    own = optimizer.state_dict()["param_groups"]
+    return {
+        "state": {
+            new: state["state"][old] for new, old in enumerate(order) if old in state["state"]
+        },
+        "param_groups": [
+            {**groups[0], "params": group["params"], **({} if i == 0 else {"lr": group["lr"]})}
+            for i, group in enumerate(own)
+        ],
+    }
 
 
 # --- finding -----------------------------------------------------------------------------------
 
 
 def checkpoint_of_tree(tree: Mapping[str, Any], checkpoint: str, train_dir: str | Path) -> str:
-    """Return the path that `checkpoint` means to a resolved tree, to train, play or export.
+    """Return the path that `checkpoint` means to a resolved tree, see `resolve_checkpoint`.
 
-    Args:
-        tree: the tree; `last` is the newest checkpoint of its task and of its kind of network.
-        checkpoint: as `resolve_checkpoint`.
-        train_dir: folder of the run folders.
-
-    Raises:
-        CheckpointError: there is no such file.
+    `last` is the newest checkpoint of its task and of its kind of network.
     """
     network = select(tree, "train.params.network.name")
     return resolve_checkpoint(checkpoint, train_dir, tree["task"]["name"], str(network or ""))
@@ -259,7 +272,7 @@ def resolve_checkpoint(
 
     Args:
         checkpoint: '' (none), a path, `last`: the newest checkpoint of the task's runs, also a
-            rescued one, or the name of a shipped policy.
+            rescued checkpoint, or the name of a shipped policy.
         train_dir: folder of the run folders.
         task_name: task of the runs that `last` searches; '': all.
         network_name: name of their networks; '': all. Several levels of a hierarchy are trained on
@@ -292,11 +305,9 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
     if run is None or file is None:
         task = f"task={task_name}" if task_name else "any task"
         command = package_command("train", f"task={task_name or 'HumanoidAMP'}")
-        others = _tasks_of_checkpoints(train_dir) - {task_name}
-        hint = f"; there are some of task={', task='.join(sorted(others))}" if others else ""
         network = f" with the network {network_name}" if network_name else ""
         raise CheckpointError(
-            f"checkpoint=last: no checkpoint of {task}{network} below {train_dir.absolute()}{hint};"
+            f"checkpoint=last: no checkpoint of {task}{network} below {train_dir.absolute()};"
             f" train one first: {command}"
         )
     run.report_rescued(file, "checkpoint=last")
@@ -306,12 +317,9 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
 def newest_run(
     train_dir: Path, wanted: Mapping[str, str], patterns: Sequence[str]
 ) -> RunFolder | None:
-    """Return the run with the file that was written last; None if no run has such a file.
+    """Return the run with the newest file of some patterns, rescued files included; None without.
 
-    Args:
-        train_dir: folder of the runs.
-        wanted: values that config.yaml of the run has, by their paths.
-        patterns: of the files, `nn/*.pth`; rescued ones count.
+    `wanted` are values that config.yaml of the run has, by their paths.
     """
     runs = {
         file: run
@@ -324,20 +332,8 @@ def newest_run(
     return None if file is None else runs[file]
 
 
-def _tasks_of_checkpoints(train_dir: Path) -> set[str]:
-    runs = [run for run in runs_below(train_dir) if run.newest_checkpoint() is not None]
-    names = [
-        settings_of_run(f.parent, ["task.name"]) for run in runs for f in run.files("config.yaml")
-    ]
-    return {str(found["task.name"]) for found in names if found and found["task.name"]}
-
-
 def settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
     """Return settings of a run by their paths; None if it is no run of this project."""
-    from omegaconf.errors import OmegaConfBaseException
-
-    from isaacgymenvs_lite.config.staging import read_yaml
-
     try:
         cfg = read_yaml(run / "config.yaml")
         return {key: OmegaConf.select(cfg, key) for key in keys}

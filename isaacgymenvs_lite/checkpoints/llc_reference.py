@@ -14,9 +14,8 @@ from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.checkpoints.files import LLC_KEY
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.errors import CheckpointError
-from isaacgymenvs_lite.paths import user_path
+from isaacgymenvs_lite.paths import shipped_policies, user_path
 
 log = logging.getLogger(__name__)
 
@@ -25,12 +24,7 @@ SHIPPED_LLC = "locomotion_skills"
 
 
 def make_reference(llc_checkpoint: str, weights: Mapping[str, Tensor]) -> dict[str, str]:
-    """Return {"checkpoint", "fingerprint"} of a low-level controller.
-
-    Args:
-        llc_checkpoint: a path, kept as an absolute one, or the name of a shipped policy.
-        weights: of its model.
-    """
+    """Return {"checkpoint", "fingerprint"}: an absolute path or a shipped name, and a hash."""
     is_shipped = llc_checkpoint in shipped_policies()
     path = llc_checkpoint if is_shipped else str(user_path(llc_checkpoint).absolute())
     return {"checkpoint": path, "fingerprint": _fingerprint(weights)}
@@ -45,11 +39,7 @@ def _fingerprint(weights: Mapping[str, Tensor]) -> str:
 
 
 def shipped_reference(reference: Mapping[str, str]) -> dict[str, str]:
-    """Return `reference` with the name of the shipped policy that has these weights.
-
-    Raises:
-        CheckpointError: there is none.
-    """
+    """Return `reference` with the name of the shipped policy that has these weights."""
     for name, path in shipped_policies().items():
         if _fingerprint(checkpoints.load_checkpoint(path)["model"]) == reference["fingerprint"]:
             return {**reference, "checkpoint": name}
@@ -62,13 +52,12 @@ def shipped_reference(reference: Mapping[str, str]) -> dict[str, str]:
 def llc_checkpoint_for(llc_checkpoint: str | None, params: Mapping[str, Any]) -> str:
     """Return the low-level controller of a training or a play.
 
-    Args:
-        llc_checkpoint: the key; with None and '' the loaded checkpoint decides. Without an entry
-            there, None means the shipped one, and '' stays ''.
-        params: the section `params` of the train file.
+    The key `llc_checkpoint` decides. With None or '' the loaded checkpoint does; without an entry
+    there None means the shipped low level, and '' stays ''.
 
-    Raises:
-        CheckpointError: the loaded checkpoint cannot be read.
+    Args:
+        llc_checkpoint: the key.
+        params: the section `params` of the train file.
     """
     if llc_checkpoint:
         return llc_checkpoint
@@ -82,13 +71,7 @@ def llc_checkpoint_for(llc_checkpoint: str | None, params: Mapping[str, Any]) ->
 def warn_of_another_llc(
     state: Mapping[str, Any], reference: Mapping[str, str], checkpoint: str
 ) -> None:
-    """Warn if a high level's checkpoint was trained over another low level than the one in use.
-
-    Args:
-        state: of the high level's checkpoint.
-        reference: to the low-level controller in use.
-        checkpoint: the high level's, as the user gave it.
-    """
+    """Warn if a high level's checkpoint was trained over another low level than the used one."""
     before = state.get(LLC_KEY)
     if before and before["fingerprint"] != reference["fingerprint"]:
         log.warning(

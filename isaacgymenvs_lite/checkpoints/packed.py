@@ -1,9 +1,8 @@
 """Packs policies: checkpoints without the state of a training, but with the settings to play them.
 
-A full checkpoint needs its run folder, because config.yaml there describes its networks and task,
-and most of it is the optimiser's state. A packed policy is one small file: the model with its
-normalisers (with the critic, so that it loads as any checkpoint does), the normaliser of AMP
-observations, and the `PolicyInfo` under the key `policy`.
+A full checkpoint needs the config.yaml of its run folder, and most of it is the optimiser's state.
+A packed policy is one small file: the model with critic and normalisers (it loads as any checkpoint
+does), the normaliser of AMP observations, and the `PolicyInfo` under the key `policy`.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint, write_atomically
 from isaacgymenvs_lite.checkpoints.llc_reference import LLC_KEY, shipped_reference
 from isaacgymenvs_lite.checkpoints.run_config import (
@@ -25,7 +25,6 @@ from isaacgymenvs_lite.checkpoints.run_config import (
     units_of_config,
     units_of_model,
 )
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies, shipped_policies_dir
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.formats.deepmimic import (
     PREFIX,
@@ -38,6 +37,7 @@ from isaacgymenvs_lite.motion.loader import (
     shipped_robot_motions,
     shipped_robot_motions_dir,
 )
+from isaacgymenvs_lite.paths import shipped_policies
 from isaacgymenvs_lite.schema import leaves, read_section, select, setting
 
 log = logging.getLogger(__name__)
@@ -50,30 +50,20 @@ _CONFIG = "train.params.config"
 _CLIP = "task.env.motion_file"
 # Sections and keys that a policy must find as it was trained with.
 _NEEDED = (
-    "task.env",
-    "task.sim",
-    "train.params.algo",
-    "train.params.model",
-    "train.params.network",
+    *("task.env", "task.sim"),
+    *(f"train.params.{section}" for section in ("algo", "model", "network")),
     *(f"{_CONFIG}.normalize_{what}" for what in ("input", "value", "amp_input")),
-    f"{_CONFIG}.amp_obs_steps",
-    f"{_CONFIG}.disc_reward",
-    f"{_CONFIG}.disc_reward_scale",
-    f"{_CONFIG}.enc_reward_scale",
+    *(f"{_CONFIG}.{key}" for key in ("amp_obs_steps", "disc_reward", "disc_reward_scale")),
+    *(f"{_CONFIG}.{key}" for key in ("enc_reward_scale", "clip_latents")),
     *(f"{_CONFIG}.latent_{what}" for what in ("dim", "steps_min", "steps_max")),
-    f"{_CONFIG}.clip_latents",
     # A shipped low level holds its settings, so llc_config is not needed.
     f"{_CONFIG}.llc_steps",
 )
 # Keys of those sections that only a training reads, or that have no effect.
 _NOT_NEEDED = (
-    "task.env.numEnvs",
-    "task.env.episodeLength",
-    "task.env.envSpacing",
-    "task.env.cameraFollow",
-    "task.env.enableDebugVis",
-    "task.sim.use_gpu_pipeline",
-    "task.sim.physx",
+    *("task.env.numEnvs", "task.env.episodeLength", "task.env.envSpacing"),
+    *("task.env.cameraFollow", "task.env.enableDebugVis"),
+    *("task.sim.use_gpu_pipeline", "task.sim.physx"),
 )
 # Settings of the training that have no meaning elsewhere.
 _NOT_RECORDED = ("name", "full_experiment_name", "train_dir", "print_stats", "multi_gpu")
@@ -118,7 +108,7 @@ class PolicyInfo:
 
 
 def read_policy_info(path: Path) -> PolicyInfo:
-    """Read the `PolicyInfo` of a packed policy; no code of the file is run.
+    """Read the `PolicyInfo` of a packed policy.
 
     Raises:
         CheckpointError: it cannot be read or is no packed policy.
@@ -137,20 +127,14 @@ def read_policy_info(path: Path) -> PolicyInfo:
 
 
 def shipped_policy_infos() -> dict[str, PolicyInfo]:
-    """Return the policies that ship, in the order of their names.
-
-    Raises:
-        CheckpointError: a file is damaged.
-    """
+    """Return the policies that ship, in the order of their names."""
     return {name: read_policy_info(path) for name, path in shipped_policies().items()}
 
 
 def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) -> dict[str, Any]:
     """Return the section `params` of a train file as a packed policy was trained with it.
 
-    Args:
-        params: of a train file of the same algorithm.
-        state: of a checkpoint; if it is no packed policy, `params` is returned as it is.
+    For the `state` of any other checkpoint `params` is returned as it is.
 
     Raises:
         CheckpointError: its settings contradict each other.
@@ -197,8 +181,26 @@ def pack_policy(
         )
     checkpoint = Path(checkpoint)
     state = load_checkpoint(checkpoint)
-    tree = _run_config(checkpoint, state["model"])
-    settings = _needed_settings(tree)
+    file, model = run_config_file(checkpoint), state["model"]
+    if not file.is_file():
+        raise ConfigError(
+            f"checkpoint={checkpoint}: no config.yaml in {file.parent}; expected a checkpoint in"
+            " the folder nn of the run folder that train.py made"
+        )
+    tree = read_run_config(file, model, to_play=True)
+    units = units_of_config(tree)
+    if (found := units_of_model(model, units)) != units:
+        raise CheckpointError(
+            f"checkpoint={checkpoint}: its layers are {found}, those of {file} {units}; expected"
+            " the config.yaml of its own run"
+        )
+    settings = {
+        path: value
+        for section in _NEEDED
+        for path, value in leaves(select(tree, section), section)
+        if value is not None
+        and not any(path == other or path.startswith(f"{other}.") for other in _NOT_NEEDED)
+    }
     if _CLIP in settings:
         settings[_CLIP] = _shipped_clip(clip or settings[_CLIP])
     packed = {key: state[key] for key in _PLAYED if state.get(key) is not None}
@@ -207,14 +209,18 @@ def pack_policy(
     info = PolicyInfo(
         task=tree["task"]["name"],
         clip=settings.get(_CLIP, ""),
-        units=units_of_config(tree),
+        units=units,
         frames=int(state.get("frame", 0)),
         epochs=int(state.get("epoch", 0)),
         settings=settings,
-        training=_training_record(tree["train"]["params"]["config"]),
+        training={
+            key: value
+            for key, value in tree["train"]["params"]["config"].items()
+            if isinstance(value, str | int | float | bool) and key not in _NOT_RECORDED
+        },
     )
     packed[POLICY_KEY] = dataclasses.asdict(info)
-    path = Path(folder or shipped_policies_dir()) / f"{name}.pth"
+    path = Path(folder or paths.shipped_policies_dir()) / f"{name}.pth"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, packed)
@@ -224,42 +230,8 @@ def pack_policy(
     return path
 
 
-# --- the settings of the run --------------------------------------------------------------------
-
-
-def _run_config(checkpoint: Path, model: Mapping[str, Any]) -> dict[str, Any]:
-    file = run_config_file(checkpoint)
-    if not file.is_file():
-        raise ConfigError(
-            f"checkpoint={checkpoint}: no config.yaml in {file.parent}; expected a checkpoint in"
-            " the folder nn of the run folder that train.py made"
-        )
-    tree = read_run_config(file, model, to_play=True)
-    units = units_of_config(tree)
-    if units != units_of_model(model, units):
-        raise CheckpointError(
-            f"checkpoint={checkpoint}: its layers are {units_of_model(model, units)}, those of"
-            f" {file} {units}; expected the config.yaml of its own run"
-        )
-    return tree
-
-
-def _needed_settings(tree: dict[str, Any]) -> dict[str, Any]:
-    return {
-        path: value
-        for section in _NEEDED
-        for path, value in leaves(select(tree, section), section)
-        if value is not None
-        and not any(path == other or path.startswith(f"{other}.") for other in _NOT_NEEDED)
-    }
-
-
 def _shipped_clip(clip: str) -> str:
-    """Return a clip by a name that is valid on any machine.
-
-    Raises:
-        ConfigError: it is a file of this machine.
-    """
+    """Return a clip by a name that is valid on any machine; refuse other files."""
     file = Path(clip)
     if is_package_name(clip):
         return clip
@@ -272,12 +244,3 @@ def _shipped_clip(clip: str) -> str:
             f" to show beside it with clip=NAME: {choices}"
         )
     return file.name
-
-
-def _training_record(config: dict[str, Any]) -> dict[str, Any]:
-    plain = (str, int, float, bool)
-    return {
-        key: value
-        for key, value in config.items()
-        if isinstance(value, plain) and key not in _NOT_RECORDED
-    }

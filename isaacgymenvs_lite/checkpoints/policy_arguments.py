@@ -9,10 +9,10 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.staging import quoted
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.paths import shipped_policies
 from isaacgymenvs_lite.schema import leaves, select
 
 log = logging.getLogger(__name__)
@@ -28,10 +28,6 @@ def playing_overrides(name: str) -> list[str]:
     """Return the overrides that a shipped policy needs to act, for `config.compose`.
 
     These are the settings that must be as in its training: no `checkpoint`, devices or sizes.
-
-    Raises:
-        KeyError: no such policy.
-        CheckpointError: its file is damaged.
     """
     # imports torch, which other command lines do without
     from isaacgymenvs_lite.checkpoints.packed import read_policy_info
@@ -46,14 +42,7 @@ def playing_overrides(name: str) -> list[str]:
 def complete_arguments(arguments: Sequence[str]) -> list[str]:
     """Return a command line with the settings of the shipped policy that it plays or trains on.
 
-    They are inserted before the typed words, which override them. A command line without a shipped
-    policy is returned as it is.
-
-    Args:
-        arguments: as `sys.argv[1:]`: `test=True checkpoint=walk num_envs=4`.
-
-    Raises:
-        CheckpointError: the policy's file is damaged.
+    They are inserted before the typed words, which override them.
     """
     arguments = list(arguments)
     typed = _settings(arguments)
@@ -71,15 +60,9 @@ def complete_arguments(arguments: Sequence[str]) -> list[str]:
 def inherited_settings(arguments: Sequence[str]) -> list[str]:
     """Return the settings that later command lines about a run need if a shipped policy began it.
 
-    The run's checkpoints are played as any run's are, by the files of task and training and by what
-    was typed. So these are the policy's settings that the files do not have, as overrides; all of
-    them where the files come from a folder of the user's own.
-
-    Args:
-        arguments: as for `complete_arguments`.
-
-    Raises:
-        CheckpointError: the policy's file is damaged.
+    Such a run is played by the files of task and training and by the typed words. So these are the
+    policy's settings that the files do not have, as overrides; all of its settings where the files
+    come from a folder of the user's own.
     """
     typed = _settings(arguments)
     name = typed.get("checkpoint", "")

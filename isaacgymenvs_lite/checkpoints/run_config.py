@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import logging
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ _OF_RUN = frozenset(
         *("physics_engine", "solver_type", "num_subscenes", "graphics_device_id"),
     )
 )
+_SWITCHES = ("wandb_activate", "viewer", "capture_video", "multi_gpu")
 _RL_DEVICES = ("cpu", "cuda:0")
 # Hidden layers: section of the network -> pattern of the name in the model.
 _LAYERS = {
@@ -63,9 +64,6 @@ def read_run_config(
         file: config.yaml of a run folder.
         model: parameters by name; empty if they are not known.
         to_play: with the values of a play (`test=True`), where those of a training differ.
-
-    Raises:
-        ConfigError: the file cannot be read, or is no configuration of a run.
     """
     register_resolvers()
     stored = read_yaml(file)
@@ -73,7 +71,12 @@ def read_run_config(
         stored.test = True
     trees = [_resolved(stored, device, file) for device in _RL_DEVICES]
     try:
-        return next((tree for tree in trees if has_units_of(tree, model)), trees[0])
+        fitting = (
+            tree
+            for tree in trees
+            if (units := units_of_config(tree)) == units_of_model(model, units)
+        )
+        return next(fitting, trees[0])
     except ConfigError as error:
         raise ConfigError(f"{file}: {error}") from error
 
@@ -87,10 +90,6 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
 
     Returns:
         The tree; `resume` is the path of the file to go on from.
-
-    Raises:
-        CheckpointError: there is no such run.
-        ConfigError: a word cannot be used, or config.yaml of the run cannot.
     """
     given = {word.partition("=")[0].lstrip("+"): word for word in words}
     for word in words:
@@ -105,7 +104,15 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
         wanted = {path: str(OmegaConf.select(composed, path)) for path in paths}
     file = resume_file(values["resume"], train_dir_of(words), wanted)
     stored = read_yaml(run_of_file(file) / "config.yaml")
-    _forget_the_rest(stored, values)
+    # Keys that are not of the run get their defaults.
+    defaults = vars(LaunchSettings(task_name=""))
+    left = [key for key in _SWITCHES if stored.get(key) not in (None, defaults[key])]
+    if left := [key for key in left if key not in values]:
+        log.info("not taken over from the run, type again what you want: %s", ", ".join(left))
+    for key in set(stored) - keys_of(LaunchSettings) - {"task", "train", "pbt"}:
+        del stored[key]  # of an earlier version
+    for key in defaults.keys() - _OF_RUN:
+        stored[key] = defaults[key]
     settings = [
         word for key, word in given.items() if key not in ("task", "train", "resume", TRAIN_DIR)
     ]
@@ -123,24 +130,6 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
     return cfg
 
 
-def _forget_the_rest(cfg: DictConfig, typed: Collection[str]) -> None:
-    """Give the keys that are not of the run their defaults, in place; log what was switched on."""
-    defaults = {
-        key: value
-        for key, value in vars(LaunchSettings(task_name="")).items()
-        if key not in _OF_RUN
-    }
-    switches = ("wandb_activate", "viewer", "capture_video", "multi_gpu")
-    left = [key for key in switches if cfg.get(key) not in (None, defaults[key])]
-    left = [key for key in left if key not in typed]
-    if left:
-        log.info("not taken over from the run, type again what you want: %s", ", ".join(left))
-    for key in set(cfg) - keys_of(LaunchSettings) - {"task", "train", "pbt"}:
-        del cfg[key]  # of an earlier version
-    for key, value in defaults.items():
-        cfg[key] = value
-
-
 def _resolved(stored: DictConfig, rl_device: str, file: Path) -> dict[str, Any]:
     cfg = stored.copy()
     cfg.rl_device = rl_device
@@ -152,12 +141,6 @@ def _resolved(stored: DictConfig, rl_device: str, file: Path) -> dict[str, Any]:
     if not isinstance(tree, dict) or not all(isinstance(s, dict) and s for s in sections):
         raise ConfigError(f"{file}: expected the sections {', '.join(SECTIONS)}")
     return {str(key): value for key, value in tree.items()}
-
-
-def has_units_of(tree: dict[str, Any], model: Mapping[str, Any]) -> bool:
-    """Return whether the networks of a tree have the hidden layers of a model."""
-    units = units_of_config(tree)
-    return units == units_of_model(model, units)
 
 
 def units_of_config(tree: dict[str, Any]) -> dict[str, list[int]]:

@@ -1,13 +1,13 @@
 """The files from which a training goes on exactly: `<run>/resume/<epoch>.pth` and its buffers.
 
 A training state is a checkpoint with one more entry, `training_state`: what the agent and its
-task remember. The replay buffers, which can be large, are in a file of their own beside it. Only
-the newest state of a run is kept. Each file appears whole or not at all, and the one before is
-removed once both are written, so that a crash at any time leaves a state.
+task remember. The replay buffers, which can be large, are in a second file. Only the newest state
+of a run is kept. Each file appears whole or not at all, and the former state is removed once both
+are written, so that a crash at any time leaves a state.
 
-Of several processes each writes what it remembers, all but the main one to
-`<epoch>_rank<rank>.pth`. The networks are in the main one's file alone. A secret that all files of
-a state share shows that they belong together.
+Each of several processes writes what it remembers, all but the main process to
+`<epoch>_rank<rank>.pth`. The networks are in the main process' file alone. All files of a state
+share a secret, which shows that they belong together.
 """
 
 from __future__ import annotations
@@ -70,20 +70,9 @@ def new_token() -> str:
 def write_training_state(
     run: Path, state: TrainingState, epoch: int, token: str, rank: int = 0
 ) -> list[Path]:
-    """Write a state into a run folder; the former state stays.
+    """Write this process' part of a state into a run folder; return its files.
 
-    Args:
-        run: the run folder.
-        state: has `memory`.
-        epoch: of the state.
-        token: see `new_token`.
-        rank: of this process.
-
-    Returns:
-        The files that were written.
-
-    Raises:
-        OSError: the folder cannot be written or is full; the former state is left.
+    The former state stays. The token is that of `new_token`, the same for all processes.
     """
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
@@ -104,19 +93,9 @@ def write_training_state(
 
 
 def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:
-    """Write the checkpoint that a run goes on from in another process, and remove its states.
+    """Write the checkpoint that a run goes on from in another process; return its path.
 
-    The states would lead `resume=` back to the networks before.
-
-    Args:
-        run: the run folder.
-        checkpoint: of these or other networks.
-
-    Returns:
-        The file.
-
-    Raises:
-        OSError: the folder cannot be written or is full; the former states are left.
+    The run's states are removed: they would lead `resume=` back to the networks before.
     """
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
@@ -146,7 +125,7 @@ def read_training_state(path: Path, rank: int = 0, num_processes: int = 1) -> Tr
 
     Args:
         path: file of the main process.
-        rank: of this process, which reads its own files beside it.
+        rank: of this process, which reads its own files in the same folder.
         num_processes: that train now.
 
     Raises:
@@ -193,15 +172,12 @@ def _read_archive(file: Path, hint: str) -> dict[str, Any]:
 
 
 def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path:
-    """Return the file that the key `resume` means.
+    """Return the file that the key `resume` means: `last`, a run folder, or a file in one.
 
     Args:
-        resume: `last`, a run folder, or a file in one.
+        resume: the key.
         train_dir: folder of the runs that `last` searches.
         wanted: what config.yaml of these runs has, values by path.
-
-    Raises:
-        CheckpointError: there is nothing to go on from.
     """
     given = user_path(resume)
     if resume == "last":

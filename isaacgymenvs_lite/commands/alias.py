@@ -24,6 +24,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from isaacgymenvs_lite.config.launch import allow_cpu_fallback
 from isaacgymenvs_lite.config.resolvers import register_for
 from isaacgymenvs_lite.errors import EXIT_USER_ERROR
 from isaacgymenvs_lite.isaacgymenvs_compat.module_names import (
@@ -47,8 +48,6 @@ _OTHERS = {
     _GYM: f"{_NEW}.isaacgymenvs_compat.gym",
     f"{_GYM}.wrappers": f"{_NEW}.isaacgymenvs_compat.gym_wrappers",
 }
-# Scripts that import it make rl_games' Runner next.
-_RUNNER_USERS = "utils.rlgames_utils"
 
 
 class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -79,8 +78,10 @@ class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         else:
             name = ".".join(part for part in (_NEW, RENAMED.get(rest, rest)) if part)
         module = _import(name, spec.name, absent_because(rest))
-        if root == _OLD:
-            _prepare(rest)
+        if spec.name == f"{_OLD}.utils.rlgames_utils":  # scripts make rl_games' Runner next
+            from isaacgymenvs_lite.isaacgymenvs_compat.runner import adapt_runner
+
+            adapt_runner()
         spec.loader_state = module.__spec__
         return module
 
@@ -92,11 +93,7 @@ class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 
 def _import(name: str, alias: str, reason: str | None) -> ModuleType:
-    """Return the module `name`.
-
-    Raises:
-        ModuleNotFoundError: there is none; the message has the reason.
-    """
+    """Return the module `name`; the error for an absent module has the reason."""
     if reason is None:
         try:
             return importlib.import_module(name)
@@ -110,14 +107,6 @@ def _import(name: str, alias: str, reason: str | None) -> ModuleType:
     ) from None
 
 
-def _prepare(module: str) -> None:
-    """Do what importing a published module does beside defining its names."""
-    if module == _RUNNER_USERS:
-        from isaacgymenvs_lite.isaacgymenvs_compat.runner import adapt_runner
-
-        adapt_runner()
-
-
 def install() -> None:
     """Make the old names importable in this process; a second call does nothing."""
     if not any(isinstance(finder, AliasFinder) for finder in sys.meta_path):
@@ -127,8 +116,7 @@ def install() -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the script that the command line names."""
     parser = argparse.ArgumentParser(
-        prog="isaacgymenvs-lite alias",
-        description=(__doc__ or "").partition("\n")[0],
+        prog="isaacgymenvs-lite alias", description=(__doc__ or "").partition("\n")[0]
     )
     parser.add_argument("script", type=Path, help="a Python file that imports isaacgymenvs")
     parser.add_argument("arguments", nargs=argparse.REMAINDER, help="the script's own")
@@ -139,29 +127,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.argv = [str(args.script), *args.arguments]
     # As python does for a script: its neighbours can be imported.
     sys.path.insert(0, str(args.script.resolve().parent))
-    _show_our_log()
-    register_for(args.script.read_text(encoding="utf-8"))
-    with _cpu_in_place_of_a_missing_gpu():
-        runpy.run_path(str(args.script), run_name="__main__")
-
-
-def _show_our_log() -> None:
-    """Show the log of this package where a script sets up no logging."""
+    # A script that sets up no logging shows the log of this package.
     logging.getLogger(_NEW).setLevel(logging.INFO)
     logging.lastResort = message_handler()
+    register_for(args.script.read_text(encoding="utf-8"))
+    import torch  # takes seconds
 
-
-def _cpu_in_place_of_a_missing_gpu() -> Any:
-    """Return a context in which a script's cuda devices are the CPU, if there is no GPU."""
-    import torch
-
-    from isaacgymenvs_lite.config.devices import allow_cpu_fallback
     from isaacgymenvs_lite.isaacgymenvs_compat.cuda import CudaIsCpu
 
-    if torch.cuda.is_available():
-        return nullcontext()
-    allow_cpu_fallback()
-    return CudaIsCpu()
+    devices = nullcontext()
+    if not torch.cuda.is_available():
+        allow_cpu_fallback()
+        devices = CudaIsCpu()
+    with devices:
+        runpy.run_path(str(args.script), run_name="__main__")
 
 
 if __name__ == "__main__":

@@ -18,22 +18,15 @@ import copy
 import logging
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, flag_override
 
-from isaacgymenvs_lite.config.compose import ANY_TRAIN_FILE, compose
+from isaacgymenvs_lite.config.compose import ANY_TRAIN_FILE, compose, missing_task
 from isaacgymenvs_lite.config.launch import CheckedConfig, read_config
-from isaacgymenvs_lite.config.notes import cpu_defaults_note, keys_without_effect
-from isaacgymenvs_lite.config.published_names import (
-    longest_task,
-    missing_choice,
-    missing_task,
-    task_in_name,
-)
 from isaacgymenvs_lite.config.rl_games_settings import UNREAD_KEYS
 from isaacgymenvs_lite.config.staging import is_foreign, read_yaml
 from isaacgymenvs_lite.config.train_files import compose_file
@@ -44,7 +37,7 @@ from isaacgymenvs_lite.config.train_params import (
 )
 from isaacgymenvs_lite.errors import EXIT_USER_ERROR, ConfigError, UserError, suggest
 from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
-from isaacgymenvs_lite.schema import select
+from isaacgymenvs_lite.schema import leaves, plain, select
 
 EXIT_DOES_NOT_WORK = 1
 # For train files without a task in their name, such as ASE's: the task by the algorithm.
@@ -55,6 +48,15 @@ _TASKS_OF_ALGORITHMS = {
 _DEFAULT_NAME = re.compile(r"\$\{resolve_default:\s*['\"]?([\w-]+)")
 _NO_EFFECT = "no effect here"
 _GROUPS = {"params": "train", "env": "task", "name": "task", "sim": "task"}
+# Keys of a task that Isaac Gym's PhysX, its importer or its viewer read.
+_UNREAD_TASK_KEYS = (
+    *("env.envSpacing", "env.enableDebugVis", "env.enableCameraSensors", "env.renderFPS"),
+    *("env.plane.restitution", "sim.num_client_threads", "sim.flex"),
+)
+# What a user need not type to find a key, the longest first.
+_SECTIONS = ("task.env.", "task.", "train.params.config.", "train.params.network.", "train.params.")
+_GPU = "cuda:0"
+_ALGORITHM = re.compile(r"(?:PPO|SAC)\w*$")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -81,11 +83,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
-    """Return a description of the file, line by line.
+    """Return a description of a task or train file, line by line.
 
     Args:
-        file: path or name of a task or train file.
-        overrides: further words of train.py's command line.
+        file: path or name of the file.
+        overrides: more words of train.py's command line.
 
     Raises:
         UserError: train.py would refuse the file.
@@ -105,35 +107,28 @@ def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
             has_train = train is not None
         config = read_config(compose(words))
         task = str(config.tree["task"]["name"])
-        lines = [_title(path, kind, task, guessed)]
-        known = kind == "train" or _has_class(task)
+        if kind == "task":
+            lines = [f"{path.name}: a task file, of the task {task}"]
+        else:
+            hint = "; task=<name> checks it with another" if guessed else ""
+            lines = [f"{path.name}: a train file, checked with task={task}{hint}"]
+        from isaacgymenvs_lite.tasks.registry import is_task  # torch, as in `_describe_composed`
+
+        known = kind == "train" or is_task(task)
         if known:
             lines += _describe_composed(config, kind, has_train)
         else:
-            lines += _describe_unknown(config.tree)
-    for line in dict.fromkeys(logged):
-        lines.append(f"note: {line}")
+            lines.append(
+                f"the class of '{task}' is not here, so that the keys of task.env are not checked;"
+                " install the package that has it, or register it in a script (docs/own_task.md)"
+            )
+            if unread := keys_without_effect(config.tree):
+                lines.append(f"{_NO_EFFECT}: {', '.join(unread)}")
+    lines += [f"note: {line}" for line in dict.fromkeys(logged)]
     checked = "it" if known else "the rest of it"
     if any(line.startswith((_NO_EFFECT, "note: nothing reads")) for line in lines):
         return [*lines, f"{checked} can be used; the keys without effect are named above"]
     return [*lines, f"nothing is wrong with {checked}"]
-
-
-def _has_class(task: str) -> bool:
-    from isaacgymenvs_lite.tasks.registry import is_task  # torch, as in `_describe_composed`
-
-    return is_task(task)
-
-
-def _describe_unknown(tree: dict[str, Any]) -> list[str]:
-    """Return the description of a task file without the class of the task."""
-    lines = [
-        f"the class of '{tree['task']['name']}' is not here, so that the keys of task.env are not"
-        " checked; install the package that has it, or register it in a script (docs/own_task.md)"
-    ]
-    if unread := keys_without_effect(tree):
-        lines.append(f"{_NO_EFFECT}: {', '.join(unread)}")
-    return lines
 
 
 def _describe_composed(config: CheckedConfig, kind: str, has_train: bool) -> list[str]:
@@ -148,7 +143,12 @@ def _describe_composed(config: CheckedConfig, kind: str, has_train: bool) -> lis
     small["task"]["env"]["numEnvs"] = 2
     task = make_from_config(small, sim_device="cpu", rl_device="cpu")
     try:
-        lines = _task_lines(num_envs, task)
+        states = f", {task.num_states} privileged observations" if task.num_states else ""
+        lines = [
+            f"task: {task.num_obs} observations{states}, {task.num_actions} actions,"
+            f" {task.max_episode_length} control steps of {task.control_dt_s:g} s at most,"
+            f" {num_envs:,} environments"
+        ]
         params = prepare_train_params(
             tree,
             num_envs=num_envs,
@@ -164,7 +164,11 @@ def _describe_composed(config: CheckedConfig, kind: str, has_train: bool) -> lis
         lines += _train_lines(params)
     if path := checkpoint_in_file(tree):
         lines.append(f"goes on from {resolve_checkpoint(path, 'runs', tree['task']['name'])}")
-    unread = keys_without_effect(tree) if kind == "task" else _unread_train_keys(tree)
+    if kind == "task":
+        unread = keys_without_effect(tree)
+    else:
+        written = tree["train"]["params"]["config"]
+        unread = [f"params.config.{key}" for key in sorted(UNREAD_KEYS) if key in written]
     if unread:
         lines.append(f"{_NO_EFFECT}: {', '.join(unread)}")
     if note := cpu_defaults_note(config.cfg):
@@ -180,9 +184,8 @@ def _find(file: str) -> Path:
     for path in named:
         if given.name == file and path.is_file():
             return path
-    for group in ("train", "task"):
-        if published := missing_choice(group, given.stem):
-            raise ConfigError(f"{file}: no such file; {published}")
+    if published := missing_task(given.stem):
+        raise ConfigError(f"{file}: no such file; {published}")
     files = [path for group in ("task", "train") for path in cfg_dir().glob(f"{group}/*.yaml")]
     names = [path.stem for path in files if path.stem not in PARTS]
     raise ConfigError(
@@ -192,11 +195,7 @@ def _find(file: str) -> Path:
 
 
 def _refuse_missing_task(path: Path, overrides: Sequence[str]) -> None:
-    """Refuse the file of a published task that this project lacks, before more of it is read.
-
-    Raises:
-        ConfigError: it is one, and there is no `task=` to check it with.
-    """
+    """Refuse the file of a published task that this project lacks, unless `task=` is given."""
     if any(word.startswith("task=") for word in overrides):
         return
     content = read_yaml(path)
@@ -227,9 +226,6 @@ def _task_of(path: Path, content: DictConfig) -> str:
 
     The task is found by the file's name and the name of its runs: MyRobotPPO.yaml, whose runs are
     called MyRobot, belongs neither to a task Robot nor to a task My.
-
-    Raises:
-        ConfigError: there is no such task.
     """
     names = [f.stem for f in (cfg_dir() / "task").glob("*.yaml") if f.stem not in PARTS]
     named, run = task_in_name(path.stem), _run_name(content)
@@ -263,30 +259,13 @@ def _train_file_of(path: Path, name: str) -> str | None:
 
 def _run_name(content: DictConfig) -> str:
     """Return the name that the runs of a train file have by default, '' if it says none."""
-    written = _written(content, "params.config.name")
-    text = "" if written is None else str(written)
+    text = str(_written(content, "params.config.name") or "")
     found = _DEFAULT_NAME.match(text)
     return found[1] if found else text
 
 
 def _written(content: DictConfig, path: str) -> Any:
     return select(OmegaConf.to_container(content, resolve=False), path)
-
-
-def _title(path: Path, kind: str, task: str, guessed: bool) -> str:
-    if kind == "task":
-        return f"{path.name}: a task file, of the task {task}"
-    hint = "; task=<name> checks it with another" if guessed else ""
-    return f"{path.name}: a train file, checked with task={task}{hint}"
-
-
-def _task_lines(num_envs: int, task: Any) -> list[str]:
-    states = f", {task.num_states} privileged observations" if task.num_states else ""
-    return [
-        f"task: {task.num_obs} observations{states}, {task.num_actions} actions,"
-        f" {task.max_episode_length} control steps of {task.control_dt_s:g} s at most,"
-        f" {num_envs:,} environments"
-    ]
 
 
 def _train_lines(params: Mapping[str, Any]) -> list[str]:
@@ -326,23 +305,65 @@ def _network_line(network: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def _unread_train_keys(tree: dict[str, Any]) -> list[str]:
-    config = tree["train"]["params"]["config"]
-    return [f"params.config.{key}" for key in sorted(UNREAD_KEYS) if key in config]
+def keys_without_effect(tree: dict[str, Any]) -> list[str]:
+    """Return the keys of a tree's task that only Isaac Gym reads."""
+    paths = [f"task.{key}" for key in _UNREAD_TASK_KEYS]
+    found = [path for path in paths if select(tree, path) is not None]
+    if set(select(tree, "task.sim.physx") or ()) - {"num_threads"}:
+        found.append("task.sim.physx.* (except num_threads)")
+    return found
+
+
+def cpu_defaults_note(cfg: DictConfig) -> str | None:
+    """Return one line that names the settings that depend on learning on a CPU, or None.
+
+    Args:
+        cfg: the tree as it was composed; its `rl_device` decides.
+    """
+    if "cuda" in str(cfg.rl_device):
+        return None
+    on_gpu = cfg.copy()
+    with flag_override(on_gpu, "readonly", False):
+        on_gpu.rl_device = _GPU
+    here, there = (dict(leaves(plain(tree))) for tree in (cfg, on_gpu))
+    changed = []
+    for path, value in here.items():
+        other = there.get(path)
+        if path.startswith(_SECTIONS) and other not in (value, _GPU):
+            key = path.removeprefix(next(name for name in _SECTIONS if path.startswith(name)))
+            changed.append(f"{key} {_short(value)} ({_short(other)})")
+    return f"defaults for learning on a CPU (on a GPU): {', '.join(changed)}" if changed else None
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list):
+        return "-".join(str(entry) for entry in value)
+    return "null" if value is None else str(value)
+
+
+def longest_task(stem: str, tasks: Iterable[str]) -> str | None:
+    """Return the longest of `tasks` that a file's name begins with, as whole words, or None."""
+    fitting = [
+        name
+        for name in tasks
+        if stem.startswith(name) and not stem.removeprefix(name)[:1].islower()
+    ]
+    return max(fitting, key=len, default=None)
+
+
+def task_in_name(stem: str) -> str:
+    """Return a train file's name without its algorithm: MyRobot of MyRobotPPO_LSTM."""
+    return _ALGORITHM.sub("", stem).rstrip("_-")
 
 
 @contextmanager
 def _log_lines() -> Iterator[list[str]]:
     """Collect the log messages of the package instead of showing them."""
     lines: list[str] = []
-
-    class Collector(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            lines.append(record.getMessage())
-
     logger = logging.getLogger("isaacgymenvs_lite")
     former = (logger.level, logger.propagate)
-    collector = Collector(logging.INFO)
+    collector = logging.Handler()
+    collector.emit = lambda record: lines.append(record.getMessage())
     logger.addHandler(collector)
     logger.setLevel(logging.INFO)
     logger.propagate = False

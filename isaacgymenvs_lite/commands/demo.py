@@ -21,15 +21,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 from omegaconf import DictConfig
 
+from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.checkpoints.packed import PolicyInfo, shipped_policy_infos
 from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies_dir
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_interface import ReferenceEnv, fits
@@ -49,7 +48,6 @@ log = logging.getLogger(__name__)
 _EPISODES = 16
 _EPISODE_STEPS = 300
 _SEED = 1
-_LABELS = ("reference clip", "policy")
 # Networks of policies that do not follow a clip, and how many of their episodes to show.
 _SKILL_NETWORKS = ("gen_amp", "ase", "hrl")
 _SHOWN_EPISODES = 3
@@ -93,9 +91,9 @@ class Performance:
 
     model: mujoco.MjModel
     dt_s: float
-    tracks: tuple[Track, ...]
-    labels: tuple[str, ...]
-    markers: tuple[tuple[tuple[Marker, ...], ...], ...]
+    tracks: Sequence[Track]
+    labels: Sequence[str]
+    markers: Sequence[Sequence[Sequence[Marker]]]
     summary: str
 
 
@@ -105,7 +103,7 @@ def run_demo(settings: DemoSettings) -> list[Path]:
     Raises:
         UserError: no such policy, no way to draw or encode, a folder that cannot be written.
     """
-    names = _names(settings.policies, _best_first(shipped_policy_infos()))
+    names = _names(settings.policies)
     ensure_gl()  # fails before the play
     folder = Path(settings.out)
     try:
@@ -117,27 +115,20 @@ def run_demo(settings: DemoSettings) -> list[Path]:
         log.info("%s, %d of %d: playing and drawing", name, number, len(names))
         performance = perform(name, settings.seconds)
         path = save_performance(performance, folder / f"{name}.{settings.format}")
-        size_kib = path.stat().st_size / 1024
         log.info("%s: %s", name, performance.summary)
-        log.info("%s: wrote %s, %.0f KiB", name, path, size_kib)
+        log.info("%s: wrote %s, %.0f KiB", name, path, path.stat().st_size / 1024)
         files.append(path)
     return files
 
 
-def _best_first(infos: Mapping[str, PolicyInfo]) -> dict[str, PolicyInfo]:
-    known = [name for name in _BEST_FIRST if name in infos]
-    return {name: infos[name] for name in (*known, *infos)}
-
-
-def _names(wanted: Sequence[str], infos: Mapping[str, PolicyInfo]) -> list[str]:
-    """Return the policies to show: those wanted, or chosen, or all that can be played.
-
-    Raises:
-        ConfigError: there is none, or none of a wanted name.
-    """
+def _names(wanted: Sequence[str]) -> list[str]:
+    """Return the policies to show: those wanted, or chosen, or all that can be played."""
+    shipped = shipped_policy_infos()
+    known = [name for name in _BEST_FIRST if name in shipped]
+    infos = {name: shipped[name] for name in (*known, *shipped)}
     if not infos:
         raise ConfigError(
-            f"there is no policy in {shipped_policies_dir()}; pack one with python -m"
+            f"there is no policy in {paths.shipped_policies_dir()}; pack one with python -m"
             " isaacgymenvs_lite policies pack checkpoint=FILE name=NAME"
         )
     if not wanted and sys.stdin.isatty():
@@ -147,10 +138,13 @@ def _names(wanted: Sequence[str], infos: Mapping[str, PolicyInfo]) -> list[str]:
             raise ConfigError(unknown("policy", name, infos))
     if wanted:
         return list(wanted)
-    lacks = {name: info.missing() for name, info in infos.items()}
-    for name in filter(lacks.get, infos):
-        log.info("%s is left out: %s", name, lacks[name])
-    return [name for name in infos if not lacks[name]]
+    names = []
+    for name, info in infos.items():
+        if missing := info.missing():
+            log.info("%s is left out: %s", name, missing)
+        else:
+            names.append(name)
+    return names
 
 
 def ask(infos: Mapping[str, PolicyInfo]) -> list[str]:
@@ -170,9 +164,7 @@ def ask(infos: Mapping[str, PolicyInfo]) -> list[str]:
 def perform(name: str, seconds: float) -> Performance:
     """Play a shipped policy with its mean actions, and record it.
 
-    Args:
-        name: of the policy.
-        seconds: time to record; less if all environments fall before.
+    The recording is shorter than `seconds` if all environments fall before.
 
     Raises:
         UserError: the policy cannot be played.
@@ -180,22 +172,20 @@ def perform(name: str, seconds: float) -> Performance:
     cfg, num_steps = _tree(name, seconds)
     with load_player(cfg) as player:
         env = player.env
-        imitates = _imitates(env, cfg)
+        model, dt_s = env.simulation.model, env.dt
+        has_goal = env.get_task_obs_size() > 0
+        imitates = not has_goal and not _has_skills(cfg) and fits(env, ReferenceEnv)
         recorder = PoseRecorder(env, num_steps, range(1 if imitates else _SHOWN_EPISODES))
         result = evaluate(env, player.act, env.num_envs, on_step=lambda *_: recorder.step())
         tracks = recorder.tracks()
         if imitates:
             tracks.insert(0, reference_track(env, tracks[0]))
-        return Performance(
-            env.simulation.model,
-            env.dt,
-            tuple(tracks),
-            _LABELS if imitates else (),
-            () if imitates else tuple(recorder.markers()),
-            f"{result.num_episodes} episodes: {result.imitation}"
-            if imitates
-            else _summary(result, cfg),
-        )
+            labels, markers = ("reference clip", "policy"), []
+            summary = f"{result.num_episodes} episodes: {result.imitation}"
+        else:
+            labels, markers = (), recorder.markers()
+            summary = _summary(result, cfg)
+        return Performance(model, dt_s, tracks, labels, markers, summary)
 
 
 def _tree(name: str, seconds: float) -> tuple[DictConfig, int]:
@@ -217,12 +207,6 @@ def _tree(name: str, seconds: float) -> tuple[DictConfig, int]:
     if "fallInitProb" in env:  # it gets up
         env.fallInitProb, env.recoveryEpisodeProb = 1.0, 0.0
     return cfg, num_steps
-
-
-def _imitates(env: Any, cfg: DictConfig) -> bool:
-    """Return whether a policy follows the clip, without a goal."""
-    has_goal = env.get_task_obs_size() > 0
-    return not has_goal and not _has_skills(cfg) and fits(env, ReferenceEnv)
 
 
 def _has_skills(cfg: DictConfig) -> bool:

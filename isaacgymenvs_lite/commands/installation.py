@@ -106,11 +106,7 @@ def _needs(problems: list[str]) -> str:
 
 
 def _requirements() -> Iterator[Requirement]:
-    """Yield what the package requires on this machine without extras.
-
-    Raises:
-        PackageNotFoundError: the package runs from a folder, without being installed.
-    """
+    """Yield what the installed package requires on this machine without extras."""
     for text in requires(DISTRIBUTION) or ():
         requirement = Requirement(text)
         if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
@@ -121,12 +117,10 @@ def _extras() -> str:
     by_extra: dict[str, list[str]] = {}
     for module, extra in EXTRAS.items():
         by_extra.setdefault(extra, []).append(module)
-    there = [e for e, modules in by_extra.items() if all(map(find_spec, modules))]
-    missing = [extra for extra in by_extra if extra not in there]
+    there = {extra for extra, modules in by_extra.items() if all(map(find_spec, modules))}
     text = ", ".join(sorted(there)) or "none"
-    if not missing:
-        return text
-    return f"{text}; not installed: {', '.join(sorted(missing))}"
+    missing = ", ".join(sorted(by_extra.keys() - there))
+    return f"{text}; not installed: {missing}" if missing else text
 
 
 def _threads() -> str:

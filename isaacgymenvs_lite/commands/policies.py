@@ -47,21 +47,13 @@ class ListSettings:
 
 
 def show(_: ListSettings) -> None:
-    """Write one line for each policy that ships.
-
-    Raises:
-        CheckpointError: a file is damaged.
-    """
+    """Write one line for each policy that ships."""
     for name, info in shipped_policy_infos().items():
         sys.stdout.write(f"{name:20}{info}\n")
 
 
 def pack(settings: PackSettings) -> None:
-    """Pack a checkpoint.
-
-    Raises:
-        UserError: it cannot be packed.
-    """
+    """Pack a checkpoint, or raise a `UserError`."""
     checkpoint = resolve_checkpoint(settings.checkpoint, settings.runs, settings.task)
     if not checkpoint:
         raise ConfigError("checkpoint= is empty; expected a .pth file of a run, or 'last'")

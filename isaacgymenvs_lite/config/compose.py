@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
+import re
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,10 @@ from hydra.version import VersionBase
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from isaacgymenvs_lite.config.published_names import missing_choice
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.staging import GROUPS, REFUSED, ROOT, StagedFiles, staged
 from isaacgymenvs_lite.errors import ConfigError, one_line, unknown
-from isaacgymenvs_lite.paths import PARTS
+from isaacgymenvs_lite.paths import PARTS, cfg_dir
 from isaacgymenvs_lite.schema import leaves, nearest
 
 ANY_TRAIN_FILE = "CartpolePPO"
@@ -33,6 +32,20 @@ HYDRA_VERSION_BASE = "1.3"
 ComposeError = (HydraException, OmegaConfBaseException, ValueError, RecursionError)
 
 _ALIKE = 0.75
+# Begin of a task's name -> what the task is.
+_PUBLISHED_TASKS = {
+    "AllegroHand": "a hand that turns an object",
+    "AllegroKuka": "a Kuka arm with an Allegro hand",
+    "AutoMate": "assembly with a Franka arm",
+    "Factory": "assembly with a Franka arm",
+    "FrankaCabinet": "a Franka arm that opens a drawer",
+    "FrankaCubeStack": "a Franka arm that stacks cubes",
+    "HumanoidAMPGetup": "ASE's humanoid that gets up, here HumanoidASEGetup",
+    "IndustReal": "assembly with a Franka arm",
+    "ShadowHand": "a hand that turns an object",
+    "TacSL": "assembly with a Franka arm",
+    "Trifinger": "three fingers that move a cube",
+}
 _PLUGINS = ("optuna", "joblib", "submitit_local", "submitit_slurm")
 
 
@@ -41,8 +54,7 @@ def compose(
 ) -> DictConfig:
     """Compose the configuration tree as `python train.py <overrides>` does.
 
-    Hydra's global state is as before afterwards, so this may be called inside a running Hydra job;
-    the job's task and train file have no influence on the result.
+    This may be called inside a running Hydra job, whose task and train file have no influence.
 
     Args:
         overrides: as on the command line, for example `["task=HumanoidAMP", "num_envs=64"]`;
@@ -68,12 +80,8 @@ def compose_task(
 ) -> DictConfig:
     """Compose the tree of a task that a program or another library makes; see `compose`.
 
-    Not every task has a train file. The tree gets PPO's, which nothing reads.
-
-    Args:
-        task: name of a task file.
-        overrides: more words; `task=` and `train=` among them count instead.
-        config_dir: as `compose`.
+    Not every task has a train file. The tree gets PPO's, which nothing reads. `task=` and `train=`
+    among the overrides count instead.
     """
     words = [
         f"{group}={name}"
@@ -98,19 +106,13 @@ def changed_by(tree: DictConfig, overrides: Sequence[str]) -> DictConfig:
 
 
 def _compose_in(folder: Path, words: Sequence[str]) -> DictConfig:
+    """Let Hydra compose the files of a folder; keep what a running Hydra program needs."""
     register_resolvers()
-    with _hydra_at(folder):
-        return hydra.compose(ROOT, overrides=list(words))
-
-
-@contextlib.contextmanager
-def _hydra_at(folder: Path) -> Iterator[None]:
-    """Let Hydra read a folder, and restore what a running Hydra program needs afterwards."""
     running, base = GlobalHydra.instance(), VersionBase.instance().version_base
     program, running.hydra = running.hydra, None
     try:
         with hydra.initialize_config_dir(str(folder), version_base=HYDRA_VERSION_BASE):
-            yield
+            return hydra.compose(ROOT, overrides=list(words))
     finally:
         GlobalHydra.set_instance(running)
         running.hydra = program
@@ -180,7 +182,7 @@ def _missing_file(error: MissingConfigException, words: Sequence[str]) -> Config
             ' pip install "isaacgymenvs-lite[sweep]"'
         )
     options = sorted(option for option in error.options if option not in PARTS)
-    if (published := missing_choice(group, name)) is not None:
+    if group in ("task", "train") and (published := missing_task(name)):
         return ConfigError(f"{published}; choices: {', '.join(options)}")
     if group != "train":
         next_step = f"your own files go into cfg/{group} or below a --config-dir"
@@ -217,3 +219,15 @@ def _unknown_key(key: str, files: StagedFiles) -> ConfigError:
     return ConfigError(
         f"unknown key '{key}'{hint}; {level} are {', '.join(choices)}; +{key}=... adds a new one"
     )
+
+
+def missing_task(name: str) -> str | None:
+    """Return a message about a published task that is not here; None for any other name.
+
+    The name may be that of a train file, too: `ShadowHandPPOAsymmLSTM`.
+    """
+    family = next((known for known in _PUBLISHED_TASKS if name.startswith(known)), None)
+    if family is None or (cfg_dir() / "task" / f"{name}.yaml").is_file():
+        return None
+    task = re.sub(r"(?:PPO|SAC)\w*$", "", name)
+    return f"{task} is a published task ({_PUBLISHED_TASKS[family]}) that is not here"

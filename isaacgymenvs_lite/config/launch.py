@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
+import re
 import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,13 +14,12 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from isaacgymenvs_lite.config.compose import explain_interpolation
-from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.pbt_settings import mutable_values, read_pbt_settings
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.config.train_params import apply_wrapper_limits
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import ConfigError, DeviceError
 from isaacgymenvs_lite.schema import (
-    check_mapping,
+    as_mapping,
     missing_key,
     read_keys,
     read_section,
@@ -27,13 +28,22 @@ from isaacgymenvs_lite.schema import (
 )
 from isaacgymenvs_lite.utils.optional_packages import require
 
-# Sections of a tree that are read before all of them are checked.
-_MAPPINGS = (
+log = logging.getLogger(__name__)
+
+_GROUPS = ("task", "train", "pbt")
+# These sections are read before all of them are checked.
+_SECTIONS = (
     *("task.env", "task.sim", "task.task", "train.params"),
     *(f"train.params.{name}" for name in ("algo", "model", "network", "config")),
 )
-# Sections below the root, which others read.
-_SECTIONS = ("task", "train", "pbt")
+# A tree must have these keys; the hints say where they come from.
+_REQUIRED = {
+    "task.name": "a task file starts with name:",
+    "task.env": "a task file has the settings of the task below env:",
+    "task.sim": "a task file has dt and gravity below sim:, 'defaults: [Classic]' brings them",
+    "train.params": "a train file starts with params:",
+    "train.params.config": "a train file has the settings of the agent below config:",
+}
 _SEED_OF_DETERMINISTIC_RUNS = 42
 _RANDOM_SEEDS = 10_000
 _MAX_SEED = 2**32 - 1  # numpy's
@@ -43,59 +53,40 @@ MAX_THREADS = 1024
 
 @dataclass(frozen=True, kw_only=True)
 class LaunchSettings:
-    """The checked root of the configuration tree; None replaces a '' that means "not given"."""
+    """The checked root of the configuration tree; cfg/config.yaml explains the keys.
+
+    None replaces a '' that means "not given".
+    """
 
     task_name: str = setting()
-    """Class of the task."""
     task_checkout: str = setting("")
-    """Folder of the project that a task file named by its path belongs to."""
     experiment: str = setting("")
-    """Name of the run; '' leaves the train file's."""
     test: bool = setting(False)
-    """Play instead of train."""
     checkpoint: str = setting("")
-    """File to restore, `last`, or ''."""
     resume: str = setting("")
-    """File of the run to go on with; a command line also gives `last` or a run folder."""
     sigma: float | None = setting(None, blank=True)
-    """Replaces the log standard deviation of a policy with fixed sigma."""
     latent: str = setting("")
-    """Skills that a played low-level controller shows: random, interpolate or a file."""
     num_envs: int | None = setting(None, minimum=1, blank=True)
     max_iterations: int | None = setting(None, minimum=1, blank=True)
-    """Epochs."""
     seed: int = setting(42, minimum=-1, maximum=_MAX_SEED)
-    """-1 draws one."""
     torch_deterministic: bool = setting(False)
 
     sim_device: str = setting("cpu")
     rl_device: str = setting("cpu")
     pipeline: str = setting("cpu", choices=("cpu", "gpu"))
-    """Where the task's tensors live."""
     num_threads: int = setting(0, minimum=0, maximum=MAX_THREADS)
-    """CPU threads of the physics and of the networks, in turns; 0: one for each CPU with work."""
     multi_gpu: bool = setting(False)
-    """Several processes, which torchrun starts, train one policy."""
     distributed_timeout_s: float = setting(600.0, above=0, maximum=86400)
-    """How long the processes wait for one that does not answer."""
 
     progress_interval: float = setting(10.0, above=0)
-    """Seconds between lines of progress where the output is no terminal."""
     headless: bool = setting(True)
-    """False opens a window."""
     force_render: bool = setting(True)
-    """Show every step in a window; False: only when the task renders."""
     viewer: str = setting("", choices=("", "web"))
-    """`web` serves a page that shows environment 0."""
     viewer_port: int = setting(8080, minimum=0, maximum=65535)
-    """Of the page; 0 takes a free one."""
     capture_video: bool = setting(False)
     capture_video_freq: int = setting(1464, minimum=1)
-    """Environment steps from the start of one video to the start of the next."""
     capture_video_len: int = setting(100, minimum=1)
-    """Environment steps of a video."""
     capture_video_envs: int = setting(1, minimum=1)
-    """Environments that a video shows in tiles, from the first one on."""
 
     wandb_activate: bool = setting(False)
     wandb_group: str = setting("")
@@ -125,13 +116,7 @@ class _EnvSize:
 
 @dataclass(frozen=True)
 class CheckedConfig:
-    """A composed tree that has been checked; it is resolved here, once.
-
-    Attributes:
-        settings: the root.
-        tree: the whole tree, resolved, as dictionaries and lists.
-        cfg: the tree as it was composed, for config.yaml of the run.
-    """
+    """A composed tree that has been checked: its root, resolved and as it was composed."""
 
     settings: LaunchSettings
     tree: dict[str, Any]
@@ -154,19 +139,26 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
 def read_config(cfg: DictConfig) -> CheckedConfig:
     """Check a composed tree before anything heavy is imported or made.
 
-    Types, limits and choices of the root's keys, features that this version lacks, devices, names
-    of runs, and that every interpolation of the tree resolves. torch is imported only if a device
-    may be a GPU, after everything that needs no torch.
+    Checked are the root's keys, devices, names of runs, and that every interpolation of the tree
+    resolves. torch is imported only if a device may be a GPU, after everything that needs no torch.
 
     Raises:
         ConfigError: a key is missing, unknown or has a wrong value, or needs a missing feature.
         DeviceError: a device is misspelt, or `rl_device` does not exist on this machine.
     """
-    _check_sections(OmegaConf.to_container(cfg, resolve=False))
+    written = OmegaConf.to_container(cfg, resolve=False)
+    for path, hint in _REQUIRED.items():
+        section, _, key = path.rpartition(".")
+        keys = as_mapping(select(written, section), section)
+        if key not in keys:
+            raise missing_key(key, keys, [key], section, hint)
+    for path in _SECTIONS:
+        if not str(section := select(written, path)).startswith("${"):
+            as_mapping(section, path)
     # ${default_rl_device:} imports torch: it comes last.
     postponed = {"rl_device"} if OmegaConf.is_interpolation(cfg, "rl_device") else set()
     try:
-        root = {str(key): cfg[key] for key in cfg if key not in (*_SECTIONS, *postponed)}
+        root = {str(key): cfg[key] for key in cfg if key not in (*_GROUPS, *postponed)}
         settings = read_section(LaunchSettings, root, where="", ignored=postponed, complete=True)
         _check_combinations(settings)
         # The physics runs on the CPU whatever sim_device is; the task logs that.
@@ -199,27 +191,8 @@ def resolve_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) ->
     return secrets.randbelow(_RANDOM_SEEDS)
 
 
-def _check_sections(tree: Any) -> None:
-    """Check that the sections of a tree, as written, are there and are mappings."""
-    hints = {
-        "task.name": "a task file starts with name:",
-        "task.env": "a task file has the settings of the task below env:",
-        "task.sim": "a task file has dt and gravity below sim:, 'defaults: [Classic]' brings them",
-        "train.params": "a train file starts with params:",
-        "train.params.config": "a train file has the settings of the agent below config:",
-    }
-    for path, hint in hints.items():
-        section, _, key = path.rpartition(".")
-        present = select(tree, section)
-        present = present if isinstance(present, dict) else {}
-        if key not in present:
-            raise missing_key(key, present, [key], section, hint)
-    for path in _MAPPINGS:
-        check_mapping(tree, path)
-
-
 def _check_combinations(settings: LaunchSettings) -> None:
-    """Refuse settings that do not go together, or need a package that is missing."""
+    """Refuse settings that contradict each other, or need a package that is missing."""
     if settings.multi_gpu and settings.test:
         raise ConfigError("multi_gpu=True trains in several processes; to play leave it out")
     if settings.wandb_activate:
@@ -234,3 +207,52 @@ def _check_combinations(settings: LaunchSettings) -> None:
             f"latent={settings.latent} chooses what a trained policy shows: add test=True and"
             " checkpoint=, or remove it (training draws latents at random)"
         )
+
+
+# --- devices ------------------------------------------------------------------------------------
+
+_DEVICE = re.compile(r"cpu|cuda(?::(?P<index>\d+))?")
+# Settings for which the log has said so; None: a missing GPU is an error.
+_fallback_keys: set[str] | None = None
+
+
+def allow_cpu_fallback(allowed: bool = True) -> None:
+    """Use the CPU, from now on and in this process, in place of a GPU that does not exist.
+
+    This is for scripts that name a GPU and are not edited. The log has one line for each setting.
+    """
+    global _fallback_keys
+    _fallback_keys = (_fallback_keys or set()) if allowed else None
+
+
+def check_device_name(name: str, key: str) -> int | None:
+    """Return the index of the GPU that a setting's value means, None for the CPU; or refuse it."""
+    match = _DEVICE.fullmatch(str(name))
+    if match is None:
+        raise DeviceError(f"{key}={name}: expected cpu, cuda or cuda:N, for example cuda:0")
+    return None if name == "cpu" else int(match["index"] or 0)
+
+
+def check_device(name: str, key: str) -> str:
+    """Return the device that a setting's value means; the CPU after `allow_cpu_fallback`.
+
+    Raises:
+        DeviceError: it is misspelt, or torch does not see such a GPU.
+    """
+    index = check_device_name(name, key)
+    if index is None:
+        return name
+    import torch  # imported late: it takes a second
+
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if count == 0 and _fallback_keys is not None:
+        if key not in _fallback_keys:
+            _fallback_keys.add(key)
+            log.warning("%s=%s: torch sees no GPU on this machine; the CPU is used", key, name)
+        return "cpu"
+    if count == 0:
+        raise DeviceError(f"{key}={name}: torch sees no GPU on this machine; use {key}=cpu")
+    if index >= count:
+        names = ", ".join(f"cuda:{i}" for i in range(count))
+        raise DeviceError(f"{key}={name}: this machine has cpu, {names}; choose one of them")
+    return name

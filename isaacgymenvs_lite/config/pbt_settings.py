@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,8 +11,6 @@ from typing import Any
 from isaacgymenvs_lite.config.run_names import read_run_name
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.schema import leaves, nearest, read_section, select, setting
-
-log = logging.getLogger(__name__)
 
 MUTATIONS = (
     *("mutate_float", "mutate_float_min_1", "mutate_eps_clip", "mutate_mini_epochs"),
@@ -33,16 +30,11 @@ class PBTSettings:
     policy_idx: int = setting(0, minimum=0)
     num_policies: int = setting(8, minimum=1, maximum=_MAX_POLICIES)
     workspace: str = setting("pbt_workspace")
-    """Folder that the policies share, a name below the folder of the runs."""
     dbg_mode: bool = setting(False)
-    """Replace at every interval, whatever the rank of the policy; one policy is enough."""
 
     interval_steps: int = setting(10_000_000, minimum=1)
-    """Environment steps from one comparison to the next."""
     start_after: int = setting(10_000_000, minimum=0)
-    """Environment steps after a start or a restart in which the policy is not replaced."""
     initial_delay: int = setting(20_000_000, minimum=0)
-    """Environment steps of the whole training in which nothing is replaced."""
 
     replace_fraction_worst: float = setting(0.125, above=0, maximum=1)
     replace_fraction_best: float = setting(0.3, above=0, maximum=1)
@@ -50,22 +42,13 @@ class PBTSettings:
     replace_threshold_frac_absolute: float = setting(0.05, minimum=0)
 
     mutation_rate: float = setting(0.15, minimum=0, maximum=1)
-    """Probability of each setting to change."""
     change_min: float = setting(1.1, minimum=1)
     change_max: float = setting(1.5, minimum=1)
     mutation: dict[str, Any] = setting({})
-    """Path of a setting in the tree -> name of its function, one of `MUTATIONS`."""
 
 
 def read_pbt_settings(tree: Mapping[str, Any]) -> PBTSettings | None:
-    """Return the section `pbt` of a resolved tree; None if the training is of one policy alone.
-
-    Args:
-        tree: of dictionaries and lists.
-
-    Raises:
-        ConfigError: a value cannot be used.
-    """
+    """Return the section `pbt` of a resolved tree; None if the training is of one policy alone."""
     settings = read_section(PBTSettings, tree.get("pbt"), "pbt", complete=True)
     if not settings.enabled:
         return None
@@ -98,52 +81,34 @@ def mutable_values(tree: Mapping[str, Any], settings: PBTSettings) -> dict[str, 
 
     Published files name settings that not every train file has, or that are null: these are left
     out.
-
-    Args:
-        tree: as in `read_pbt_settings`.
-        settings: of the population.
-
-    Raises:
-        ConfigError: a value is no number, a path looks misspelt, or nothing is left.
     """
     values: dict[str, float] = {}
     for path in settings.mutation:
         value = select(tree, path)
         if value is None:
-            _check_spelling(path, tree, settings)
+            section, _, key = path.rpartition(".")
+            below = select(tree, section)
+            siblings = below if isinstance(below, dict) else {}
+            others = [k for k in map(str, siblings) if f"{section}.{k}" not in settings.mutation]
+            near = nearest(key, others, _MISSPELT_RATIO) if key not in siblings else None
+            if near is not None:
+                raise ConfigError(
+                    f"pbt.mutation: unknown key '{path}' (did you mean '{near}'?); correct or"
+                    " remove it"
+                )
         else:
-            values[path] = _number(value, path)
+            try:
+                number = math.nan if isinstance(value, bool) else float(value)
+            except (TypeError, ValueError):
+                number = math.nan
+            if not math.isfinite(number):
+                raise ConfigError(
+                    f"pbt.mutation: {path}={value!r} cannot be mutated; expected a number"
+                )
+            values[path] = value if isinstance(value, int) else number
     if not values:
         raise ConfigError(
             "pbt.mutation names no setting of this task and train file, so that policies could not"
             " differ; expected for example train.params.config.gamma: mutate_discount"
         )
     return values
-
-
-def _number(value: Any, path: str) -> float:
-    """Return an int as it is, and text such as 3e-4 as a number.
-
-    Raises:
-        ConfigError: the value is none, or not finite.
-    """
-    try:
-        number = float(value)
-        usable = not isinstance(value, bool) and math.isfinite(number)
-    except (TypeError, ValueError):
-        usable = False
-    if not usable:
-        raise ConfigError(f"pbt.mutation: {path}={value!r} cannot be mutated; expected a number")
-    return value if isinstance(value, int) else number
-
-
-def _check_spelling(path: str, tree: Mapping[str, Any], settings: PBTSettings) -> None:
-    section, _, key = path.rpartition(".")
-    below = select(tree, section)
-    siblings = below if isinstance(below, dict) else {}
-    others = [str(other) for other in siblings if f"{section}.{other}" not in settings.mutation]
-    near = nearest(key, others, _MISSPELT_RATIO) if key not in siblings else None
-    if near is not None:
-        raise ConfigError(
-            f"pbt.mutation: unknown key '{path}' (did you mean '{near}'?); correct or remove it"
-        )

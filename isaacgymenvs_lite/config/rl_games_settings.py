@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import itertools
 import logging
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -14,15 +13,7 @@ from typing import Any
 
 from isaacgymenvs_lite.config.run_names import DEFAULT_TRAIN_DIR
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.schema import (
-    check_unknown_keys,
-    convert_keys,
-    convert_section,
-    keys_of,
-    missing_key,
-    select,
-    setting,
-)
+from isaacgymenvs_lite.schema import convert_section, missing_key, select, setting
 
 _log = logging.getLogger(__name__)
 
@@ -48,6 +39,10 @@ class RunSettings:
     save_frequency: int = setting(0, minimum=0)
     keep_checkpoints: int = setting(0, minimum=0)
     """Newest checkpoints of save_frequency that stay, beside the best; 0: all."""
+    save_buffers: bool = setting(True)
+    """Store replay buffers for resume=, too."""
+    imitation_frequency: int = setting(50, minimum=0)
+    """Epochs between measurements of the mean policy; 0: none."""
     print_stats: bool = setting(True)
     games_to_track: int = setting(100, minimum=1)
     reward_shaper: Mapping[str, Any] = setting({})
@@ -155,24 +150,26 @@ class PlayerSettings:
     latent: str | None = setting(None)
 
 
-# More keys of PPO: rl_games reads them in special set-ups, the launcher writes them, or they are
-# former names and are translated before the check.
-PPO_OTHER_KEYS = frozenset(
-    (
-        *("adv_rms_momentum", "bound_loss_type", "bptt_length", "central_value_config"),
-        *("check_scores", "device", "device_name", "env_args", "env_config", "env_info"),
-        *("epochs_between_resets", "features", "freeze_critic", "full_experiment_name"),
-        *("is_train", "log_path", "max_steps", "multi_gpu", "network_path", "num_actors"),
-        *("pbt_idx", "player", "population_based_training", "schedule_entropy", "self_play"),
-        *("self_play_config", "seq_len", "use_experimental_cv", "use_smooth_clamp", "value_size"),
-        *("vec_env", "zero_rnn_on_done"),
-    )
-)
 # Keys of published files that nothing reads; `check` names them.
 UNREAD_KEYS = frozenset(
     (
         *("defer_summaries_sec", "lr_threshold", "max_env_steps", "num_envs", "num_seed_steps"),
         *("summaries_interval_sec_max", "summaries_interval_sec_min", "use_others_experience"),
+    )
+)
+# More keys: rl_games reads them in special set-ups, the launcher writes them, or they are former
+# names and are translated before the check.
+OTHER_KEYS = UNREAD_KEYS | frozenset(
+    (
+        *("actor_betas", "adv_rms_momentum", "alphas_betas", "bound_loss_type", "bptt_length"),
+        *("central_value_config", "check_scores", "critic_betas", "device", "device_name"),
+        *("env_args", "env_config", "env_info", "epochs_between_resets", "features"),
+        *("freeze_critic", "full_experiment_name", "is_train", "log_path", "max_steps"),
+        *("multi_gpu", "network", "network_path", "normalize_advantage", "normalize_value"),
+        *("num_actors", "pbt_idx", "player", "population_based_training"),
+        *("schedule_entropy", "self_play", "self_play_config", "seq_len", "torch_compile"),
+        *("use_diagnostics", "use_experimental_cv", "use_smooth_clamp", "value_size", "vec_env"),
+        *("weight_decay", "zero_rnn_on_done"),
     )
 )
 
@@ -221,18 +218,6 @@ class SACSettings(RunSettings):
     """bfloat16, on a CPU in the hidden layers; auto measures whether it is faster there."""
 
 
-# More keys of SAC, of the same kinds.
-SAC_OTHER_KEYS = frozenset(
-    (
-        *("actor_betas", "alphas_betas", "critic_betas", "device", "device_name", "env_config"),
-        *("env_info", "features", "full_experiment_name", "is_train", "log_path", "multi_gpu"),
-        *("network", "normalize_advantage", "normalize_value", "num_actors", "pbt_idx", "player"),
-        *("population_based_training", "save_buffers", "torch_compile", "use_diagnostics"),
-        *("weight_decay",),
-    )
-)
-
-
 # The names in the factories of rl_games' network builder.
 ACTIVATIONS = ("relu", "tanh", "sigmoid", "elu", "selu", "swish", "gelu", "softplus", "None")
 
@@ -253,21 +238,14 @@ INITIALIZERS: dict[str, tuple[str, ...] | None] = {
 _VECTOR_INITIALIZERS = ("default", "const_initializer", "random_uniform_initializer")
 
 
-# Networks made of an `mlp` section, and the sections of hidden layers that they may have.
+# Networks made of an `mlp` section; forks' own networks may have any keys.
 _MLP_NETWORKS = frozenset(("actor_critic", "amp", "gen_amp", "ase", "hrl"))
 _SAC_NETWORK = "soft_actor_critic"
 _LATENT_NETWORKS = ("gen_amp", "ase")
-_LAYER_SECTIONS = ("mlp", "disc", "enc")
 _MAX_UNITS = 2**20
-_GATES = {"lstm": 4, "gru": 3}
-_NETWORK_KEYS = frozenset(
-    (
-        *_LAYER_SECTIONS,
-        *("name", "separate", "space", "rnn", "cnn", "inputs", "normalization", "value_shape"),
-        *("value_activation", "central_value", "joint_obs_actions", "permute_input"),
-        *("use_hidden_latents", "latent_dim", "latent_scale", "style"),
-        *("log_std_bounds", "layer_norm"),
-    )
+_OTHER_NETWORK_KEYS = (
+    *("name", "mlp", "disc", "enc", "style", "rnn", "inputs", "value_shape", "central_value"),
+    *("joint_obs_actions", "permute_input", "use_hidden_latents", "latent_dim", "layer_norm"),
 )
 
 
@@ -276,7 +254,6 @@ class UnitsSettings:
     """The keys of hidden layers that say how large they are."""
 
     units: list[int] = setting(minimum=1, maximum=_MAX_UNITS)
-    """Width of each layer."""
     model_size_multiplier: float = setting(1, above=0, maximum=1000)
     """Factor on all units, applied before the network is built."""
 
@@ -343,145 +320,93 @@ class GaussianSettings:
 
 
 _SECTIONS: dict[str, type[Any]] = {
-    **dict.fromkeys(_LAYER_SECTIONS, LayerSettings),
+    **dict.fromkeys(("mlp", "disc", "enc"), LayerSettings),
     "style": StyleSettings,
     "rnn": RecurrentSettings,
 }
 
 
 def check_network(network: dict[str, Any], where: str, *, is_critic: bool = False) -> None:
-    """Check names, units and keys of a network section; convert numbers in place.
+    """Check names, units and keys of a network section at a path; convert numbers in place.
 
-    Args:
-        network: the section.
-        where: its path, for messages.
-        is_critic: it is a critic alone, which has no actions.
+    A critic alone has no actions.
 
     Raises:
         ConfigError: a key is missing or misspelt, or a value is none of the choices.
     """
-    if network["name"] in _MLP_NETWORKS:
-        check_unknown_keys(network, _NETWORK_KEYS, where)
-        if "mlp" not in network:
-            raise missing_key(
-                "mlp", network, _NETWORK_KEYS, where, "expected the hidden layers' section"
-            )
-        if "cnn" in network:
-            raise ConfigError(
-                f"{where}.cnn: the tasks observe one vector, no pictures; remove the section"
-            )
-        if network.get("inputs"):
-            _log.warning(
-                "%s.inputs: the tasks observe one vector, not named parts; no effect", where
-            )
-    own = convert_keys(NetworkSettings, network, where)
+    name = network["name"]
+    is_ours = name in _MLP_NETWORKS
+    if is_ours and "mlp" not in network:
+        raise missing_key("mlp", network, (), where, "expected the hidden layers' section")
+    if is_ours and "cnn" in network:
+        raise ConfigError(f"{where}.cnn: the tasks observe one vector, no pictures; remove it")
+    if is_ours and network.get("inputs"):
+        _log.warning("%s.inputs: the tasks observe one vector, not named parts; no effect", where)
+    others = _OTHER_NETWORK_KEYS if is_ours else None
+    space = convert_section(NetworkSettings, network, where, others).space or {}
     for section, settings in _SECTIONS.items():
         if section in network:
-            layers = convert_section(settings, network[section], f"{where}.{section}")
+            layers = convert_section(settings, network[section], f"{where}.{section}", None)
             if isinstance(layers, LayerSettings):
                 _check_initializer(layers.initializer, f"{where}.{section}.initializer")
-    if network["name"] == _SAC_NETWORK and select(network, "mlp.units") == []:
+    if name == _SAC_NETWORK and select(network, "mlp.units") == []:
         raise ConfigError(f"{where}.mlp.units: got [], expected at least one hidden layer in SAC")
     if "mlp" in network and "initializer" not in network["mlp"]:
         hint = "expected a mapping with its name, such as default"
         raise missing_key("initializer", network["mlp"], (), f"{where}.mlp", hint)
-    has_no_latents = network["name"] in _MLP_NETWORKS.difference(_LATENT_NETWORKS)
-    if (network.get("disc") or {}).get("conditional") and has_no_latents:
+    if select(network, "disc.conditional") and is_ours and name not in _LATENT_NETWORKS:
         raise ConfigError(
-            f"{where}.disc.conditional=True: the network {network['name']} has no latents that a"
+            f"{where}.disc.conditional=True: the network {name} has no latents that a"
             f" discriminator could receive; expected {where}.name: {' or '.join(_LATENT_NETWORKS)}"
         )
-    space = own.space or {}
-    if network["name"] in _MLP_NETWORKS and "continuous" not in space and not is_critic:
+    if is_ours and "continuous" not in space and not is_critic:
         hint = "expected the distribution of the actions"
         raise missing_key("continuous", space, (), f"{where}.space", hint)
     # Soft actor-critic's distribution has no settings: its files leave the section empty.
-    if "continuous" in space and network["name"] != _SAC_NETWORK:
+    if "continuous" in space and name != _SAC_NETWORK:
         path = f"{where}.space.continuous"
-        gaussian = convert_section(GaussianSettings, network["space"]["continuous"], path)
+        gaussian = convert_section(GaussianSettings, network["space"]["continuous"], path, None)
         _check_initializer(gaussian.mu_init, f"{path}.mu_init")
         is_vector = gaussian.fixed_sigma not in (False, "obs_cond")
         choices = _VECTOR_INITIALIZERS if is_vector else tuple(INITIALIZERS)
         _check_initializer(gaussian.sigma_init, f"{path}.sigma_init", choices)
 
 
-def num_weights(network: Mapping[str, Any], num_inputs: int = 1) -> int:
-    """Return how many weights the hidden layers of a checked network section have at least.
-
-    Args:
-        network: the section.
-        num_inputs: numbers in an observation.
-    """
-    layers = [section for section in network.values() if isinstance(section, Mapping)]
-    count = 0
-    for section in layers:
-        units = section.get("units")
-        if isinstance(units, int):  # recurrent
-            count += _GATES.get(section["name"], 0) * units * units * section["layers"]
-        elif units:
-            count += sum(a * b for a, b in itertools.pairwise(units))
-    first = (network.get("mlp") or {}).get("units")
-    return count + (num_inputs * first[0] if first else 0)
-
-
 def scale_units(network: dict[str, Any]) -> None:
     """Multiply the mlp's units by its model_size_multiplier, in place."""
     mlp = network.get("mlp")
-    if not isinstance(mlp, dict):
-        return
-    factor = mlp.get("model_size_multiplier", 1)
-    if factor != 1:
+    factor = mlp.get("model_size_multiplier", 1) if isinstance(mlp, dict) else 1
+    if isinstance(mlp, dict) and factor != 1:
         mlp["units"] = [max(1, int(units * factor)) for units in mlp["units"]]
         mlp["model_size_multiplier"] = 1  # once is enough, should the section be read again
 
 
-def check_reward_shaper(section: Any, where: str) -> dict[str, Any]:
-    """Return the section reward_shaper, checked.
-
-    Raises:
-        ConfigError: a value that cannot be used, or a key that rl_games does not have.
-    """
-    section = {} if section is None else section
-    for key in section if isinstance(section, dict) else ():
-        if key not in keys_of(RewardShaperSettings):  # an argument that rl_games' function lacks
-            raise ConfigError(f"{where}: {unknown('key', key, keys_of(RewardShaperSettings))}")
-    convert_section(RewardShaperSettings, section, where)
-    return section
-
-
 def check_central_value(section: dict[str, Any], where: str) -> None:
-    """Check the section of an asymmetric critic; convert numbers in place.
-
-    Raises:
-        ConfigError: a key is missing, or a value cannot be used.
-    """
-    settings = convert_keys(CentralValueSettings, section, where)
-    if "name" not in settings.network:
-        raise missing_key("name", settings.network, (), f"{where}.network", "expected actor_critic")
+    """Check the section of an asymmetric critic; convert numbers in place."""
+    network = convert_section(CentralValueSettings, section, where, None).network
+    if "name" not in network:
+        raise missing_key("name", network, (), f"{where}.network", "expected actor_critic")
     # rl_games needs the key, without which its network returns an actor's output.
     if section["network"].setdefault("central_value", True) is not True:
         raise ConfigError(f"{where}.network.central_value: expected True, or no such key")
-    check_network(settings.network, f"{where}.network", is_critic=True)
+    check_network(network, f"{where}.network", is_critic=True)
 
 
 def _check_initializer(
     initializer: dict[str, Any], where: str, choices: Collection[str] = tuple(INITIALIZERS)
 ) -> None:
-    """Check name and arguments of an initialiser.
-
-    Raises:
-        ConfigError: the name is unknown, or an argument is.
-    """
-    name = str(initializer.get("name"))
+    """Check name and arguments of an initialiser; rl_games passes them on to torch."""
     if "name" not in initializer:
         raise ConfigError(f"{where}: the key 'name' is missing; choices: {', '.join(choices)}")
+    name = str(initializer["name"])
     if name not in choices:
         reason = " for a fixed sigma, which is a vector" if name in INITIALIZERS else ""
         raise ConfigError(f"{where}.name{reason}: {unknown('initializer', name, choices)}")
     arguments = INITIALIZERS[name]
-    for key, value in initializer.items():
-        if key != "name" and arguments is not None:
-            if key not in arguments:
-                raise ConfigError(f"{where}: {unknown('key', str(key), arguments)}")
-            if key not in ("mode", "nonlinearity"):
-                initializer[key] = float(value)
+    if arguments is None:
+        return
+    for key in initializer.keys() - {"name"}:
+        if key not in arguments:
+            raise ConfigError(f"{where}: {unknown('key', str(key), arguments)}")
+        if key not in ("mode", "nonlinearity"):
+            initializer[key] = float(initializer[key])

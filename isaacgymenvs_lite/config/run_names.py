@@ -26,11 +26,7 @@ def train_dir_of(words: Sequence[str]) -> Path:
 
 
 def run_name_of(tree: dict[str, Any]) -> PurePosixPath:
-    """Return the name of the runs of a resolved tree: `experiment`, or the train file's name.
-
-    Raises:
-        ConfigError: the name cannot be the name of a folder.
-    """
+    """Return the name of the runs of a resolved tree: `experiment`, or the train file's name."""
     for key in ("experiment", _NAME_IN_FILE):
         given = select(tree, key)
         if given not in (None, ""):
@@ -43,23 +39,19 @@ def read_run_name(given: Any, key: str) -> PurePosixPath:
 
     Args:
         given: as on the command line or in a train file: `walk1`, `amp/walk1`.
-        key: setting that it is the value of, for messages.
+        key: the setting, for messages.
 
     Raises:
-        ConfigError: it is empty, leads out of the folder, or cannot be the name of a file.
+        ConfigError: it leads out of the folder, or cannot be the name of a folder.
     """
     text = str(given)
     path = PurePosixPath(text.strip())
     levels = [part.strip() for part in path.parts]
     problem = ""
-    if not levels:
-        problem = "is empty"
-    elif path.is_absolute() or ".." in levels or levels[0].startswith("~") or "\\" in text:
+    if path.is_absolute() or ".." in levels or text.strip().startswith("~") or "\\" in text:
         problem = "leads out of the folder of the runs"
-    elif not text.isprintable() or "" in levels:
-        problem = "holds characters that no name of a file should have"
-    elif len(levels) > MAX_LEVELS:
-        problem = f"has {len(levels)} levels of folders, at most {MAX_LEVELS} are possible"
+    elif not levels or "" in levels or not text.isprintable() or len(levels) > MAX_LEVELS:
+        problem = f"cannot be the name of a folder, or of folders up to {MAX_LEVELS} levels deep"
     elif max(len(part.encode(errors="replace")) for part in levels) > _MAX_BYTES:
         problem = f"is longer than {_MAX_BYTES} bytes"
     if problem:

@@ -26,7 +26,6 @@ import yaml
 from hydra.core.override_parser.types import Quote, QuotedString
 from omegaconf import DictConfig, OmegaConf
 
-from isaacgymenvs_lite.config import checkouts
 from isaacgymenvs_lite.config.resolvers import RESOLVERS, forbidden_resolver
 from isaacgymenvs_lite.config.run_names import TRAIN_DIR
 from isaacgymenvs_lite.errors import ConfigError, one_line
@@ -40,6 +39,8 @@ ROOT = "config"
 """Name of the root file."""
 GROUPS = ("task", "train", "pbt")
 REFUSED = "refused"
+CHECKOUT_KEY = "task_checkout"
+"""Key of the configuration's root: the folder of the checkout, '' for none."""
 _NAMED_BY_PATH = ("task", "train")
 _SUFFIXES = (".yaml", ".yml")
 _WHERE_TO = "it belongs on the command line, or into cfg/ if you wrote the file yourself"
@@ -50,6 +51,20 @@ _PACKAGE = re.compile(r"(?:\s*#.*\n)*?\s*#\s*@package\s+(.*)")
 # Names of files and of folders below a group; a name may hold the choice of another group: ${task}.
 _ENTRY = re.compile(r"(?:[\w.+-]|\$\{\w+\})+(?:/(?:[\w.+-]|\$\{\w+\})+)*")
 
+# Entries in the top folder of a project that a package inside it does not have.
+_TOP_OF_A_PROJECT = (".git", "setup.py", "pyproject.toml", "assets")
+# ASE's task was an argument of its command line. End of a file's name -> our task.
+_TASKS_OF_ASE = {
+    "heading": "HumanoidHeading",
+    "location": "HumanoidLocation",
+    "reach": "HumanoidReach",
+    "strike": "HumanoidStrike",
+    "getup": "HumanoidASEGetup",
+    "getup_test": "HumanoidASEGetup",
+    "perturb": "HumanoidPerturb",
+    "": "HumanoidASE",
+}
+
 
 @dataclass(frozen=True)
 class StagedFiles:
@@ -58,8 +73,8 @@ class StagedFiles:
     Attributes:
         words: the overrides.
         folder: where Hydra begins to search.
-        refused: what is wrong with a file of a folder, by its name in Hydra; the copy of such a
-            file names a file below `REFUSED`, which does not exist.
+        refused: what is wrong with a file of a folder, by its name in Hydra; the copy of the file
+            names a file below `REFUSED`, which does not exist.
     """
 
     words: list[str]
@@ -101,20 +116,27 @@ def staged(
         named = _stage_named_files(words, target)
         if trains and not any(word.lstrip("+").startswith(f"{TRAIN_DIR}=") for word in words):
             for file in target.glob("train/*.yaml"):
-                _check_train_dir(_read(file), file.name)
+                run_dir = select(_read(file), "params.config.train_dir")
+                path = PurePath(run_dir if isinstance(run_dir, str) else "..")
+                is_below = not (path.is_absolute() or ".." in path.parts or "$" in str(path))
+                if run_dir is not None and not is_below:
+                    raise ConfigError(
+                        f"{file.name}: {TRAIN_DIR} is {run_dir!r}, outside of the working folder;"
+                        f" if that is what you want, say so yourself: {TRAIN_DIR}={run_dir}"
+                    )
         yield StagedFiles(named, target, refused)
 
 
 def read_yaml(path: Path) -> DictConfig:
-    """Read one YAML file, alone. Of equal keys the last one counts, as in ASE's time.
-
-    Raises:
-        ConfigError: the file is missing, is no YAML, or holds no mapping or something forbidden.
-    """
+    """Read one YAML file, alone. Of equal keys the last one counts, as in ASE's time."""
     content = _read(path)
     if is_foreign(path):
         _check_content(content, path)
-    return _as_config(content, path)
+    try:  # OmegaConf reads 2e-5 as a number, PyYAML as text
+        config: Any = OmegaConf.create(yaml.safe_dump(content, sort_keys=False))
+        return config if content else OmegaConf.create()
+    except Exception as error:  # the grammar of interpolations, kinds of keys
+        raise ConfigError(f"{path} cannot be used: {one_line(error)}") from error
 
 
 def is_foreign(path: Path) -> bool:
@@ -132,8 +154,12 @@ def _stage_folder(source: Path, target: Path) -> dict[str, ConfigError]:
             f"the configuration folder '{source}' does not exist; expected a folder that holds"
             " task/ and train/"
         )
+    ours = _our_root()  # its settings of Hydra take the place of the files' own
+    logs = [entry for entry in ours["defaults"] if _is_about_logging(entry)]
     for file in source.glob("*.yaml"):
-        _write(_with_our_hydra(_checked(file, group=""), file), target / file.name)
+        content = _checked(file, group="")
+        own = [entry for entry in content.get("defaults") or [] if not _is_about_logging(entry)]
+        _write(content | {"hydra": ours["hydra"], "defaults": [*own, *logs]}, target / file.name)
     refused = {}
     for group in GROUPS:
         for file in (source / group).rglob("*.yaml"):
@@ -167,12 +193,12 @@ def _stage_named_files(words: Sequence[str], target: Path) -> list[str]:
         file = _find(group, value)
         stage(group, file)
         if group == "task":
-            beside = checkouts.train_file_beside(file)
+            beside = _train_file_beside(file)
             if beside is not None and "train" not in typed:
                 log.info("train file: %s (beside the task file; train= takes another)", beside)
                 stage("train", beside)
-            if checkouts.KEY not in typed:
-                staged_words.append(f"++{checkouts.KEY}={quoted(str(checkouts.checkout_of(file)))}")
+            if CHECKOUT_KEY not in typed:
+                staged_words.append(f"++{CHECKOUT_KEY}={quoted(str(checkout_of(file)))}")
     return staged_words
 
 
@@ -224,14 +250,6 @@ def _our_root() -> dict[Any, Any]:
     return root
 
 
-def _with_our_hydra(content: dict[Any, Any], file: Path) -> dict[Any, Any]:
-    """Give a root file Hydra's settings of cfg/config.yaml in place of its own."""
-    ours = _our_root()
-    own = [entry for entry in content.get("defaults") or [] if not _is_about_logging(entry)]
-    logs = [entry for entry in ours["defaults"] if _is_about_logging(entry)]
-    return content | {"hydra": ours["hydra"], "defaults": [*own, *logs]}
-
-
 def _write(content: dict[Any, Any], file: Path) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
@@ -252,13 +270,25 @@ def _checked(file: Path, group: str) -> dict[Any, Any]:
             f"{file} has the header '# @package {package}', which puts it into another section;"
             f" expected '{own}' or none"
         )
-    if not own and _is_harmless(content.get("hydra", {}), _HARMLESS):
+    hydra = content.get("hydra", {})
+    is_dict = isinstance(hydra, dict)
+    if not own and is_dict and all((k, v) in _HARMLESS.items() for k, v in hydra.items()):
         content.pop("hydra", None)
     _check_content(content, file)
     defaults = content.get("defaults") or []
     for entry in defaults if isinstance(defaults, list) else [defaults]:
         _check_entry(entry, file, is_root=not own)
-    _complete(content, file, group)
+    # Published files leave these to the command line or to the code of their project.
+    config = select(content, "params.config")
+    if isinstance(config, dict) and "llc_config" in config and "defaults" not in content:
+        config.setdefault("llc_checkpoint", "")
+    task = _task_of_ase_file(file) if group == "task" and "name" not in content else None
+    if task is not None:
+        log.info("%s names no task, as ASE's files: taken for task=%s", file, task)
+        content.setdefault("defaults", [task, "_self_"])
+        env = content.get("env")
+        if isinstance(env, dict) and isinstance(env.get("numEnvs"), int):
+            env["numEnvs"] = f"${{resolve_default:{env['numEnvs']},${{...num_envs}}}}"
     return content
 
 
@@ -273,39 +303,14 @@ def _read(path: Path) -> dict[Any, Any]:
     return content
 
 
-def _as_config(content: dict[Any, Any], path: Path) -> DictConfig:
-    """Return OmegaConf's tree of a mapping; OmegaConf reads 2e-5 as a number, PyYAML as text."""
-    try:
-        config: Any = OmegaConf.create(yaml.safe_dump(content, sort_keys=False))
-        return config if content else OmegaConf.create()
-    except Exception as error:  # the grammar of interpolations, kinds of keys
-        raise ConfigError(f"{path} cannot be used: {one_line(error)}") from error
-
-
 def _check_content(content: dict[Any, Any], path: Path) -> None:
-    """Check what a file of somebody else holds.
-
-    Raises:
-        ConfigError: it sets something of Hydra, names something to be called, has an interpolation
-            that leads out of the configuration.
-    """
+    """Refuse settings of Hydra, names to be called, and interpolations that lead elsewhere."""
     if "hydra" in content:
         raise ConfigError(f"{path} sets 'hydra', which decides what is run; {_WHERE_TO}")
     try:
         _check_values(content, str(path))
     except RecursionError as error:
         raise ConfigError(f"{path} contains itself, or is nested too deep") from error
-
-
-def _check_train_dir(content: dict[Any, Any], name: str) -> None:
-    """Check that a train file lets its runs stay below the working folder."""
-    folder = select(content, "params.config.train_dir")
-    parts = PurePath(folder).parts if isinstance(folder, str) else ("..",)
-    if folder is not None and (".." in parts or "$" in folder or PurePath(folder).is_absolute()):
-        raise ConfigError(
-            f"{name}: {TRAIN_DIR} is {folder!r}, outside of the working folder; if that is"
-            f" what you want, say so yourself: {TRAIN_DIR}={folder}"
-        )
 
 
 def _check_values(value: Any, where: str) -> None:
@@ -352,31 +357,75 @@ def _is_about_logging(entry: Any) -> bool:
     return key in _LOGGING and value in ("none", "disabled")
 
 
-def _is_harmless(section: Any, allowed: dict[str, Any]) -> bool:
-    """Return whether a section has no other keys and values than `allowed`."""
-    if not isinstance(section, dict):
-        return False
-    return all(
-        key in allowed
-        and (
-            _is_harmless(value, allowed[key])
-            if isinstance(allowed[key], dict)
-            else value == allowed[key]
-        )
-        for key, value in section.items()
-    )
+# --- the checkout of a task file that is named by its path ------------------------------------
+#
+# Task files of IsaacGymEnvs, of ASE and of their forks name clips, models and train files by their
+# paths in their own checkout:
+#
+#     <checkout>/<package>/cfg/task/<task>.yaml       clips in assets/amp/motions (IsaacGymEnvs)
+#     <checkout>/<package>/cfg/train/<task>PPO.yaml
+#     <checkout>/cfg/task/<task>.yaml                 the same without a package (this project)
+#     <checkout>/<package>/data/cfg/<task>.yaml       clips in <package>/data/motions (ASE)
+#
+# For any other file it is the folder of the file.
 
 
-def _complete(content: dict[Any, Any], file: Path, group: str) -> None:
-    """Add what published files leave to the command line or to the code of their project."""
-    config = select(content, "params.config")
-    if isinstance(config, dict) and "llc_config" in config and "defaults" not in content:
-        config.setdefault("llc_checkpoint", "")
-    task = checkouts.task_of_ase_file(file) if group == "task" else None
-    if task is None or "name" in content:
-        return
-    log.info("%s names no task, as ASE's files: taken for task=%s", file, task)
-    content.setdefault("defaults", [task, "_self_"])
-    env = content.get("env")
-    if isinstance(env, dict) and isinstance(env.get("numEnvs"), int):
-        env["numEnvs"] = f"${{resolve_default:{env['numEnvs']},${{...num_envs}}}}"
+def checkout_of(task_file: Path) -> Path:
+    """Return the folder of the checkout that a task file, an absolute path, belongs to."""
+    folder = task_file.parent
+    if _is_in_ase(task_file):
+        return folder.parents[2]
+    if (folder.parent.name, folder.name) != ("cfg", "task"):
+        return folder
+    package = folder.parents[1]
+
+    def is_top(place: Path) -> bool:
+        return any((place / name).exists() for name in _TOP_OF_A_PROJECT)
+
+    return package.parent if is_top(package.parent) and not is_top(package) else package
+
+
+def _train_file_beside(task_file: Path) -> Path | None:
+    """Return the train file that goes with a task file by its name, `../train/<task>PPO.yaml`."""
+    beside = task_file.parent.with_name("train") / f"{task_file.stem}PPO.yaml"
+    return beside if task_file.parent.name == "task" and beside.is_file() else None
+
+
+def _task_of_ase_file(task_file: Path) -> str | None:
+    """Return the task of this project that a task file of ASE without a name is for."""
+    if not _is_in_ase(task_file):
+        return None
+    return next(task for end, task in _TASKS_OF_ASE.items() if task_file.stem.endswith(end))
+
+
+def clip_folders(checkout: Path, name: str) -> list[Path]:
+    """Return the folders of a checkout in which a clip or a data set of this name may be.
+
+    A name that leads upwards (`../..`) is searched in the working folder alone.
+    """
+    if ".." in Path(name).parts:
+        return []
+    of_ase = [folder / "motions" for folder in _data_folders(checkout)]
+    return [checkout, checkout / "assets" / "amp" / "motions", *of_ase]
+
+
+def model_folders(checkout: Path, root: str) -> list[Path]:
+    """Return the folders of a checkout in which a model may be.
+
+    `assetRoot` of the task file, '' for none, is relative to the tasks in IsaacGymEnvs
+    (`../../assets`), to the checkout in ASE (`ase/data/assets`).
+    """
+    parts = [part for part in Path(root).parts if part != ".."]
+    named = [checkout.joinpath(*parts)] if parts and not Path(root).is_absolute() else []
+    of_ase = [folder / "assets" for folder in _data_folders(checkout)]
+    return list(dict.fromkeys([*named, checkout / "assets", *of_ase]))
+
+
+def _is_in_ase(task_file: Path) -> bool:
+    folder = task_file.parent
+    return (folder.parent.name, folder.name) == ("data", "cfg") and len(folder.parents) > 2
+
+
+def _data_folders(checkout: Path) -> list[Path]:
+    """Return `<package>/data` of ASE and its forks."""
+    return sorted(cfg.parent for cfg in checkout.glob("*/data/cfg") if cfg.is_dir())

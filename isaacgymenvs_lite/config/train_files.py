@@ -11,7 +11,7 @@ from omegaconf.errors import OmegaConfBaseException
 from isaacgymenvs_lite.config.compose import compose, explain_interpolation
 from isaacgymenvs_lite.config.launch import resolve_seed
 from isaacgymenvs_lite.config.staging import read_yaml
-from isaacgymenvs_lite.config.train_params import fit_to_envs, set_device
+from isaacgymenvs_lite.config.train_params import complete_ppo
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
 
@@ -25,21 +25,16 @@ def load_train_file(
     """Read a train file for rl_games' Runner: `Runner.load` takes the result as it is.
 
     In addition to the interpolations (see `read_train_file`) it resolves what rl_games does not
-    know: `device` and `device_name` are `rl_device`, `seed: -1` is drawn, and
-    `mixed_precision: auto` is measured. With `num_envs` the minibatches are fitted to it, with a
-    line of the log.
+    know: `device`, `seed: -1`, which is drawn, and `mixed_precision: auto`, which is measured.
 
     Args:
         path: see `read_train_file`.
-        num_envs: value of `task.env.numEnvs`; None: 1, and minibatches stay as written.
+        num_envs: value of `task.env.numEnvs`, to which minibatches are fitted; None: 1, and
+            minibatches stay as written.
         rl_device: device of agent and player.
 
-    Returns:
-        The file's content with its one key, "params".
-
     Raises:
-        ConfigError: there is no such file, it cannot be read, it is no train file, or a value
-            cannot be used.
+        ConfigError: there is no such train file, or it cannot be used.
     """
     from isaacgymenvs_lite.utils.precision import resolve_mixed_precision  # torch
 
@@ -48,7 +43,7 @@ def load_train_file(
     config = params.get("config")
     if not isinstance(config, dict):
         return content
-    set_device(config, rl_device)
+    config["device"] = config["device_name"] = rl_device  # agents read one, players the other
     config.setdefault("reward_shaper", {})
     if params.get("seed") == -1:
         params["seed"] = resolve_seed(-1)
@@ -57,7 +52,8 @@ def load_train_file(
     config.setdefault("num_actors", 1)
     if num_envs is not None:
         config["num_actors"] = num_envs
-        fit_to_envs(params, num_envs)
+        if "horizon_length" in config:
+            complete_ppo(params, num_envs)
     return content
 
 
@@ -68,18 +64,15 @@ def read_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
     cfg/config.yaml, a task without asymmetric observations, and the given values.
 
     Args:
-        path: a file, relative to the working directory or to the project's, or the name of one in
-            cfg/train. `isaacgymenvs/cfg/train/<name>.yaml` of IsaacGymEnvs' files and
-            `ase/data/cfg/train/rlg/<name>.yaml` of ASE's mean the last. The config.yaml of a run
-            folder holds the train file of that run, overrides included.
+        path: a file, relative to the working directory or to the project's, or the name of a file
+            in cfg/train, which `isaacgymenvs/cfg/train/<name>.yaml` (IsaacGymEnvs) and
+            `ase/data/cfg/train/rlg/<name>.yaml` (ASE) mean, too. The config.yaml of a run folder
+            holds the train file of that run, overrides included.
         num_envs: value of `task.env.numEnvs`.
         rl_device: value of `rl_device`.
 
-    Returns:
-        The file's content with its one key, "params".
-
     Raises:
-        ConfigError: there is no such file, it cannot be read, or it is no train file.
+        ConfigError: there is no such train file.
     """
     file = _find(path)
     content = read_yaml(file)

@@ -5,21 +5,19 @@ from __future__ import annotations
 import copy
 import logging
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from isaacgymenvs_lite.config.rl_games_settings import (
     ENV_NAME,
-    PPO_OTHER_KEYS,
-    SAC_OTHER_KEYS,
-    UNREAD_KEYS,
+    OTHER_KEYS,
     PlayerSettings,
     PPOSettings,
+    RewardShaperSettings,
     SACSettings,
     check_central_value,
     check_network,
-    check_reward_shaper,
     scale_units,
 )
 from isaacgymenvs_lite.config.run_names import read_run_name
@@ -36,17 +34,15 @@ from isaacgymenvs_lite.schema import (
 _log = logging.getLogger(__name__)
 
 _WHERE = "train.params"
-# Section of `train.params` in Isaac Lab's train files: the limits that its wrapper keeps.
+_CONFIG = f"{_WHERE}.config"
+# Section of Isaac Lab's train files: the limits that its wrapper keeps, and our keys of task.env.
 _ISAAC_LAB_SECTION = "env"
-# Key of that section -> key of task.env.
-ISAAC_LAB_ACTIONS = f"train.params.{_ISAAC_LAB_SECTION}.clip_actions"
-"""Path of the largest action; without the key it is 1."""
 _LIMITS = {"clip_observations": "clipObservations", "clip_actions": "clipActions"}
-_PARAMS_KEYS = frozenset(
-    (
-        *("seed", "algo", "model", "network", "config", "load_checkpoint", "load_path"),
-        *("torch_threads", _ISAAC_LAB_SECTION),
-    )
+ISAAC_LAB_ACTIONS = f"{_WHERE}.{_ISAAC_LAB_SECTION}.clip_actions"
+"""Path of the largest action; without the key it is 1."""
+_PARAMS_KEYS = (
+    *("seed", "algo", "model", "network", "config", "load_checkpoint", "load_path"),
+    *("torch_threads", _ISAAC_LAB_SECTION),
 )
 # Algorithm -> the registered models and networks that it runs with, the usual one first. Forks' own
 # names are not checked.
@@ -62,12 +58,12 @@ _GOES_WITH: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "gen_amp": (("continuous_gen_amp", "gen_amp", "ase"), ("gen_amp", "ase")),
     "ase": (("ase", "continuous_gen_amp", "gen_amp"), ("ase", "gen_amp")),
     **dict.fromkeys(("hrl", "hrl_continuous"), _HRL),
+    # No algorithm runs here with these names of rl_games' own.
+    "": (
+        ("central_value", "continuous_a2c"),
+        ("resnet_actor_critic", "rnd_curiosity", "testnet", "testnet_aux_loss"),
+    ),
 }
-# rl_games' own that no algorithm here runs with.
-_NOT_RUN = (
-    *("central_value", "continuous_a2c", "resnet_actor_critic", "rnd_curiosity"),
-    *("testnet", "testnet_aux_loss"),
-)
 _MAX_SAMPLES = 2**31 - 1  # of an epoch
 
 
@@ -116,127 +112,50 @@ def prepare_train_params(
     names = names or KnownNames()
     tree = plain(cfg)
     params = copy.deepcopy(tree["train"]["params"])
-    _check_params(params, names)
-    config = params["config"]
-    _check_central_value(config, num_states)
-    params["seed"] = seed
-    set_device(config, str(rl_device or tree["rl_device"]))
-    config["num_actors"] = num_envs
-    _apply_launch_keys(config, tree)
-    pbt = tree.get("pbt") or {}
-    config["population_based_training"] = bool(pbt.get("enabled", False))
-    config["pbt_idx"] = pbt.get("policy_idx", 0) if config["population_based_training"] else None
-    config["full_experiment_name"] = run_name
-    config.setdefault("env_name", ENV_NAME)
-    shaper = check_reward_shaper(config.get("reward_shaper"), f"{_WHERE}.config.reward_shaper")
-    config["reward_shaper"] = shaper
-    player = config.get("player") or {}
-    convert_section(PlayerSettings, player, f"{_WHERE}.config.player", ("class_name",))
-    config["player"] = {"deterministic": True} | player
-    if note := player_class_note(config["player"]):
-        _log.info("%s", note)
+    _check_names(params, names)
+    check_network(params["network"], f"{_WHERE}.network")
     scale_units(params["network"])
+    config = params.get("config")
+    if not isinstance(config, dict):
+        raise missing_key("config", params, _PARAMS_KEYS, _WHERE, "expected the agent's settings")
+    _check_sections(config, num_states)
+    # IsaacGymEnvs' files interpolate these two; ASE's have plain values.
+    for key, launch_key in (("max_epochs", "max_iterations"), ("name", "experiment")):
+        if (given := tree.get(launch_key)) not in ("", None):
+            config[key] = given
+    if "name" in config:  # the folder has all of it, checkpoints the last part
+        config["name"] = read_run_name(config["name"], f"{_CONFIG}.name").name
     if config.get("multi_gpu") and not tree.get("multi_gpu"):
         raise ConfigError(
-            f"{_WHERE}.config.multi_gpu={config['multi_gpu']}: several processes are started with"
+            f"{_CONFIG}.multi_gpu={config['multi_gpu']}: several processes are started with"
             " torchrun and multi_gpu=True (docs/distributed.md); set it to False here"
         )
-    # rl_games would start NCCL while it makes an agent: agents join the others themselves.
-    config["multi_gpu"] = False
-    algo = params["algo"]["name"]
-    if algo == "sac":
-        if tree.get("multi_gpu"):
-            raise ConfigError("multi_gpu=True: SAC trains in one process; leave it out")
-        convert_section(SACSettings, config, f"{_WHERE}.config", SAC_OTHER_KEYS | UNREAD_KEYS)
+    params["seed"] = seed
+    pbt = tree.get("pbt") or {}
+    has_population = bool(pbt.get("enabled", False))
+    device = str(rl_device or tree["rl_device"])
+    config |= {
+        "device": device,  # of agents
+        "device_name": device,  # of players
+        "num_actors": num_envs,
+        "population_based_training": has_population,
+        "pbt_idx": pbt.get("policy_idx", 0) if has_population else None,
+        "full_experiment_name": run_name,
+        "env_name": config.get("env_name", ENV_NAME),
+        # rl_games would start NCCL while it makes an agent: agents join the others themselves.
+        "multi_gpu": False,
+    }
+    if params["algo"]["name"] != "sac":
+        complete_ppo(params, num_envs, num_agents, names.config_keys)
         return params
-    recurrent = _recurrent(params)
-    _translate_former_keys(config, any(recurrent))
-    _check_ppo_keys(config, names.config_keys)
-    _fit_minibatches(config, num_envs, num_agents, *recurrent)
+    if tree.get("multi_gpu"):
+        raise ConfigError("multi_gpu=True: SAC trains in one process; leave it out")
+    convert_section(SACSettings, config, _CONFIG, OTHER_KEYS)
     return params
 
 
-def set_device(config: dict[str, Any], device: str) -> None:
-    """Set the device under the two keys from which rl_games' agents and players read it."""
-    config["device"] = config["device_name"] = device
-
-
-def fit_to_envs(params: dict[str, Any], num_envs: int) -> None:
-    """Check the PPO keys of a train file and fit its minibatches to the environments, in place.
-
-    A file without PPO's `horizon_length` stays as it is.
-
-    Raises:
-        ConfigError: a PPO key is missing or has a wrong value, or the samples do not fit.
-    """
-    config = params["config"]
-    if "horizon_length" in config:
-        recurrent = _recurrent(params)
-        _translate_former_keys(config, any(recurrent))
-        _check_ppo_keys(config, config)
-        _fit_minibatches(config, num_envs, 1, *recurrent)
-
-
-def _recurrent(params: dict[str, Any]) -> tuple[bool, bool]:
-    """Return whether the policy and the central critic have a recurrent layer."""
-    critic = params["config"].get("central_value_config") or {}
-    return "rnn" in params.get("network", {}), "rnn" in critic.get("network", {})
-
-
-def apply_wrapper_limits(tree: dict[str, Any]) -> None:
-    """Copy the limits of `train.params.env` into the task section, in place.
-
-    The limit of actions is also the range to which rl_games scales them, see `make_from_config`.
-
-    Raises:
-        ConfigError: a limit is not a positive number.
-    """
-    section = select(tree, f"{_WHERE}.{_ISAAC_LAB_SECTION}")
-    if not isinstance(section, dict):
-        return
-    for key, task_key in _LIMITS.items():
-        value = section.get(key)
-        if value is None:
-            continue
-        if not isinstance(value, (int, float)) or isinstance(value, bool) or value <= 0:
-            path = f"train.params.{_ISAAC_LAB_SECTION}.{key}"
-            raise ConfigError(f"{path}: got {value!r}, expected a number above 0")
-        tree["task"]["env"][task_key] = float(value)
-
-
-def checkpoint_in_file(tree: Mapping[str, Any]) -> str:
-    """Return the checkpoint that the train file itself names, '' for none.
-
-    IsaacGymEnvs' files interpolate `checkpoint=`; others may have `load_checkpoint: True` and a
-    path. rl_games 1.6.5 reads neither key, its first versions did.
-
-    Raises:
-        ConfigError: load_checkpoint is True and no path is given.
-    """
-    params = tree["train"]["params"]
-    if not params.get("load_checkpoint") or tree.get("checkpoint"):
-        return ""
-    path = params.get("load_path")
-    if not path:
-        raise ConfigError(f"{_WHERE}.load_checkpoint=True: load_path is empty; give a .pth file")
-    return str(path)
-
-
-def _apply_launch_keys(config: dict[str, Any], tree: Mapping[str, Any]) -> None:
-    """Apply max_iterations and experiment of the command line to any train file, in place.
-
-    IsaacGymEnvs' files interpolate them; ASE's have plain values.
-    """
-    for key, launch_key in (("max_epochs", "max_iterations"), ("name", "experiment")):
-        given = tree.get(launch_key, "")
-        if given not in ("", None):
-            config[key] = given
-    if "name" in config:  # the folder has all of it, checkpoints the last part
-        config["name"] = read_run_name(config["name"], f"{_WHERE}.config.name").name
-
-
-def _check_params(params: dict[str, Any], names: KnownNames) -> None:
-    """Check the sections algo, model and network."""
+def _check_names(params: dict[str, Any], names: KnownNames) -> None:
+    """Check the names of algorithm, model and network, and whether they go together."""
     check_unknown_keys(params, _PARAMS_KEYS, _WHERE)
     sections = {"algo": names.algos, "model": names.models, "network": names.networks}
     for section, choices in sections.items():
@@ -251,71 +170,67 @@ def _check_params(params: dict[str, Any], names: KnownNames) -> None:
             raise ConfigError(f"{where}.name: {unknown(section, name, choices)}")
         if section != "network":
             check_unknown_keys(value, ("name",), where)
-    _check_family(params)
-    check_network(params["network"], f"{_WHERE}.network")
-    if not isinstance(params.get("config"), dict):
-        raise missing_key("config", params, _PARAMS_KEYS, _WHERE, "expected the agent's settings")
-
-
-def _check_family(params: dict[str, Any]) -> None:
-    """Refuse registered names with which a training cannot run; forks' own names pass."""
     algo = str(params["algo"]["name"])
-    space = params["network"].get("space")
-    keys = space if isinstance(space, dict) else {}
-    if "discrete" in f"{algo} {params['model']['name']} {' '.join(map(str, keys))}":
+    space = params["network"].get("space") or {}
+    if "discrete" in f"{algo} {params['model']['name']} {' '.join(map(str, space))}":
         raise ConfigError(
             f"{_WHERE}: the tasks' actions are continuous, not discrete; expected algo"
             " a2c_continuous, model continuous_a2c_logstd and network.space.continuous"
         )
-    if algo not in _GOES_WITH:
-        return
-    for section, place in (("model", 0), ("network", 1)):
-        name, choices = str(params[section]["name"]), _GOES_WITH[algo][place]
-        others = {other for family in _GOES_WITH.values() for other in family[place]}
-        if name in others.difference(choices) or name in _NOT_RUN:
+    for place, section in enumerate(("model", "network")):
+        name, fitting = str(params[section]["name"]), _GOES_WITH.get(algo, _GOES_WITH[""])[place]
+        ours = {other for family in _GOES_WITH.values() for other in family[place]}
+        if algo in _GOES_WITH and name in ours.difference(fitting):
             raise ConfigError(
                 f"{_WHERE}.{section}.name={name}: algo {algo} does not run with it; choices:"
-                f" {', '.join(choices)}"
+                f" {', '.join(fitting)}"
             )
 
 
-def check_env_name(params: Mapping[str, Any]) -> None:
-    """Refuse environments of rl_games' own: a train file trains the task that `task=` names.
+def _check_sections(config: dict[str, Any], num_states: int | None) -> None:
+    """Check and complete the sections of `train.params.config`, in place."""
+    if critic := config.get("central_value_config"):
+        if num_states == 0:
+            raise ConfigError(
+                f"{_CONFIG}.central_value_config: a critic of its own needs privileged"
+                " observations (states), and this task gives none; add"
+                " task.env.asymmetric_observations=True if the task has that key, or remove the"
+                " section"
+            )
+        check_central_value(critic, f"{_CONFIG}.central_value_config")
+    shaper, where = config.get("reward_shaper") or {}, f"{_CONFIG}.reward_shaper"
+    convert_section(RewardShaperSettings, shaper, where)
+    for key in shaper.keys() - keys_of(RewardShaperSettings):  # no argument of rl_games' function
+        raise ConfigError(f"{where}: {unknown('key', key, keys_of(RewardShaperSettings))}")
+    player = config.get("player") or {}
+    convert_section(PlayerSettings, player, f"{_CONFIG}.player", ("class_name",))
+    if note := player_class_note(player):
+        _log.info("%s", note)
+    config |= {"reward_shaper": shaper, "player": {"deterministic": True} | player}
 
-    Among them is one that makes whatever Gymnasium can import by the name in `env_config`.
 
-    Raises:
-        ConfigError: the file names one.
+def complete_ppo(
+    params: dict[str, Any],
+    num_envs: int,
+    num_agents: int = 1,
+    agent_keys: Iterable[str] | None = None,
+) -> None:
+    """Translate, check and convert the keys of PPO, and fit its minibatches, in place.
+
+    Args:
+        params: the section `params` of a train file.
+        num_envs: environments of the task.
+        num_agents: agents in each environment.
+        agent_keys: keys that are read elsewhere; None: all other keys.
     """
-    name = params["config"].get("env_name", ENV_NAME)
-    if name != ENV_NAME:
-        raise ConfigError(
-            f"{_WHERE}.config.env_name={name}: expected {ENV_NAME}, which means the task of task="
-        )
-
-
-def _check_central_value(config: dict[str, Any], num_states: int | None) -> None:
-    """Check an asymmetric critic; refuse it where the task has no privileged observations."""
-    if not config.get("central_value_config"):
-        return
-    if num_states == 0:
-        raise ConfigError(
-            f"{_WHERE}.config.central_value_config: a critic of its own needs privileged"
-            " observations (states), and this task gives none; add"
-            " task.env.asymmetric_observations=True if the task has that key, or remove the section"
-        )
-    check_central_value(config["central_value_config"], f"{_WHERE}.config.central_value_config")
-
-
-def _translate_former_keys(config: dict[str, Any], recurrent: bool) -> None:
-    """Replace the keys seq_len and max_steps by the names of rl_games 1.6.5, in place."""
-    if "seq_len" in config:
-        length = config.pop("seq_len")
-        if "seq_length" not in config:
-            config["seq_length"] = length
-        if recurrent:
+    config = params["config"]
+    critic = config.get("central_value_config") or {}
+    has_rnn = ("rnn" in params.get("network", {}), "rnn" in critic.get("network", {}))
+    if "seq_len" in config:  # the names of rl_games before 1.6.5
+        config.setdefault("seq_length", config.pop("seq_len"))
+        if any(has_rnn):
             _log.warning("seq_len is called seq_length now: using %s", config["seq_length"])
-    if not recurrent:
+    if not any(has_rnn):
         # rl_games demands that it divides the batch, although nothing is cut into sequences.
         config["seq_length"] = 1
     if config.get("schedule_type") == "per_minibatch":  # rl_games 2's name
@@ -323,23 +238,126 @@ def _translate_former_keys(config: dict[str, Any], recurrent: bool) -> None:
     if "max_steps" in config:
         # As max_steps it would end up as an array axis inside rl_games.
         config.setdefault("max_frames", config.pop("max_steps"))
-        config.pop("max_steps", None)
-
-
-def _check_ppo_keys(config: dict[str, Any], agent_keys: Iterable[str]) -> None:
-    """Check and convert the keys of PPO in place; `agent_keys` are read elsewhere."""
-    where = f"{_WHERE}.config"
     if config.get("bounds_loss_coef") is None:
         config["bounds_loss_coef"] = 0.0  # rl_games 1.6.5 fails without a number
-    others = PPO_OTHER_KEYS | UNREAD_KEYS | set(agent_keys)
-    settings = convert_section(PPOSettings, config, where, others)
+    others = None if agent_keys is None else {*OTHER_KEYS, *agent_keys}
+    settings = convert_section(PPOSettings, config, _CONFIG, others)
     config.setdefault("seq_length", settings.seq_length)
     if settings.minibatch_size is None and settings.minibatch_size_per_env is None:
         hint = "expected the samples of one gradient step, or minibatch_size_per_env"
-        raise missing_key("minibatch_size", config, keys_of(PPOSettings), where, hint)
+        raise missing_key("minibatch_size", config, keys_of(PPOSettings), _CONFIG, hint)
     if settings.lr_schedule == "adaptive" and settings.kl_threshold is None:
         hint = "lr_schedule adaptive needs it, for example 0.008"
-        raise missing_key("kl_threshold", config, keys_of(PPOSettings), where, hint)
+        raise missing_key("kl_threshold", config, keys_of(PPOSettings), _CONFIG, hint)
+    _fit_minibatches(config, num_envs, num_agents, *has_rnn)
+
+
+def _fit_minibatches(
+    config: dict[str, Any],
+    num_envs: int,
+    num_agents: int,
+    policy_has_rnn: bool,
+    critic_has_rnn: bool,
+) -> None:
+    """Make minibatch sizes divide the samples of an epoch, in place, with a line for each change.
+
+    Minibatches of a recurrent network hold whole sequences.
+    """
+    horizon = config["horizon_length"]
+    sequence = config["seq_length"]  # 1 without a recurrent network
+    if horizon % sequence:
+        raise ConfigError(
+            f"{_CONFIG}: seq_length {sequence} does not divide horizon_length {horizon}; "
+            "choose a seq_length that does"
+        )
+    batch = num_envs * num_agents * horizon
+    if batch > _MAX_SAMPLES:
+        raise ConfigError(
+            f"{_CONFIG}.horizon_length={horizon} with num_envs={num_envs}: an epoch of"
+            f" {batch:g} samples, expected at most {_MAX_SAMPLES}; lower one of them"
+        )
+    # The central critic sees each environment once, however many agents share it.
+    fitted = [("", config, batch, policy_has_rnn)]
+    if isinstance(critic := config.get("central_value_config"), dict):
+        fitted.append(("central_value_config.", critic, num_envs * horizon, critic_has_rnn))
+    for label, section, samples, has_rnn in fitted:
+        multiple, wish = sequence if has_rnn else 1, section.get("minibatch_size")
+        if wish is None:
+            if (per_env := section.get("minibatch_size_per_env")) is None:
+                continue
+            wish = num_envs * per_env
+        section["minibatch_size"] = size = fit_minibatch(samples, wish, multiple_of=multiple)
+        agents = f" x {num_agents} agents" if num_agents > 1 else ""
+        reason = f"does not divide {batch} samples ({num_envs} envs x {horizon} steps{agents})"
+        if samples % wish == 0:
+            reason = f"is no multiple of seq_length {sequence}"
+        if size != wish:
+            _log.info("%sminibatch_size %d %s: using %d", label, wish, reason, size)
+    limit = config["minibatch_size"]
+    if isinstance(size := config.get("amp_minibatch_size"), int) and size > limit:
+        _log.info("amp_minibatch_size %d exceeds the minibatch: using %d", size, limit)
+        config["amp_minibatch_size"] = limit
+
+
+def fit_minibatch(batch_size: int, minibatch_size: int, multiple_of: int = 1) -> int:
+    """Return the divisor of `batch_size` that is nearest to `minibatch_size` in ratio.
+
+    A minibatch larger than the batch becomes the batch. The result is a multiple of `multiple_of`,
+    the sequence length of a recurrent network, which divides the batch.
+
+    >>> fit_minibatch(1024, 32768)
+    1024
+    >>> fit_minibatch(1000, 300)  # 250 is 1.2 times smaller, 500 is 1.67 times larger
+    250
+    """
+    small = [each for each in range(1, math.isqrt(batch_size) + 1) if batch_size % each == 0]
+    divisors = [*small, *(batch_size // each for each in small)]
+    candidates = [divisor for divisor in divisors if divisor % multiple_of == 0]
+    return min(candidates, key=lambda d: max(d, minibatch_size) / min(d, minibatch_size))
+
+
+# --- keys that are read on their own ---------------------------------------------------------
+
+
+def apply_wrapper_limits(tree: dict[str, Any]) -> None:
+    """Copy the limits of `train.params.env` into the task section, in place.
+
+    The limit of actions is also the range to which rl_games scales them, see `make_from_config`.
+    """
+    for key, task_key in _LIMITS.items():
+        path = f"{_WHERE}.{_ISAAC_LAB_SECTION}.{key}"
+        value = select(tree, path)
+        if value is None:
+            continue
+        if not isinstance(value, (int, float)) or isinstance(value, bool) or value <= 0:
+            raise ConfigError(f"{path}: got {value!r}, expected a number above 0")
+        tree["task"]["env"][task_key] = float(value)
+
+
+def checkpoint_in_file(tree: Mapping[str, Any]) -> str:
+    """Return the checkpoint that the train file itself names, '' for none.
+
+    IsaacGymEnvs' files interpolate `checkpoint=`; others may have `load_checkpoint: True` and a
+    path. rl_games 1.6.5 reads neither key, its first versions did.
+    """
+    params = tree["train"]["params"]
+    if not params.get("load_checkpoint") or tree.get("checkpoint"):
+        return ""
+    if not params.get("load_path"):
+        raise ConfigError(f"{_WHERE}.load_checkpoint=True: load_path is empty; give a .pth file")
+    return str(params["load_path"])
+
+
+def check_env_name(params: Mapping[str, Any]) -> None:
+    """Refuse environments of rl_games' own: a train file trains the task that `task=` names.
+
+    One of them makes whatever Gymnasium can import by the name in `env_config`.
+    """
+    name = params["config"].get("env_name", ENV_NAME)
+    if name != ENV_NAME:
+        raise ConfigError(
+            f"{_CONFIG}.env_name={name}: expected {ENV_NAME}, which means the task of task="
+        )
 
 
 def player_class_note(player: Mapping[str, Any]) -> str:
@@ -347,7 +365,7 @@ def player_class_note(player: Mapping[str, Any]) -> str:
     if "class_name" not in player:
         return ""
     return (
-        f"{_WHERE}.config.player.class_name={player['class_name']} has no effect: algo.name chooses"
+        f"{_CONFIG}.player.class_name={player['class_name']} has no effect: algo.name chooses"
         " the player, by what runner.player_factory has registered for it"
     )
 
@@ -368,95 +386,3 @@ def torch_compile_setting(setting: Any, device: str, can_compile: bool) -> Any:
             _log.warning("torch_compile is off: it cannot differentiate a gradient penalty")
         return False
     return device.startswith("cuda") if setting is None else setting
-
-
-def _fit_minibatches(
-    config: dict[str, Any],
-    num_envs: int,
-    num_agents: int,
-    policy_has_rnn: bool,
-    critic_has_rnn: bool,
-) -> None:
-    """Make minibatch sizes divide the samples of an epoch, in place, with a line for each change.
-
-    Minibatches of a recurrent network hold whole sequences.
-
-    Raises:
-        ConfigError: an epoch has more samples than memory can hold, or the sequences of a recurrent
-            network do not fit into the horizon.
-    """
-    horizon = config["horizon_length"]
-    sequence = config["seq_length"]  # 1 without a recurrent network
-    if horizon % sequence:
-        raise ConfigError(
-            f"{_WHERE}.config: seq_length {sequence} does not divide horizon_length {horizon}; "
-            "choose a seq_length that does"
-        )
-    actors = num_envs * num_agents
-    if actors * horizon > _MAX_SAMPLES:
-        raise ConfigError(
-            f"{_WHERE}.config.horizon_length={horizon} with num_envs={num_envs}: an epoch of"
-            f" {actors * horizon:g} samples, expected at most {_MAX_SAMPLES}; lower one of them"
-        )
-    samples = f"{actors * horizon} samples ({num_envs} envs x {horizon} steps"
-    samples += f" x {num_agents} agents)" if num_agents > 1 else ")"
-    multiple = sequence if policy_has_rnn else 1
-    _fit_minibatch(config, "", num_envs, actors * horizon, multiple, samples)
-    if isinstance(critic := config.get("central_value_config"), dict):
-        # The central critic sees each environment once, however many agents share it.
-        label = "central_value_config."
-        multiple = sequence if critic_has_rnn else 1
-        _fit_minibatch(critic, label, num_envs, num_envs * horizon, multiple, samples)
-    limit = config["minibatch_size"]
-    if isinstance(size := config.get("amp_minibatch_size"), int) and size > limit:
-        _log.info("amp_minibatch_size %d exceeds the minibatch: using %d", size, limit)
-        config["amp_minibatch_size"] = limit
-
-
-def _fit_minibatch(
-    config: dict[str, Any], label: str, num_envs: int, batch: int, sequence: int, samples: str
-) -> None:
-    wish = config.get("minibatch_size")
-    if wish is None:
-        per_env = config.get("minibatch_size_per_env")
-        if per_env is None:
-            return  # the central critic's own check names what is missing
-        wish = num_envs * per_env
-    size = fit_minibatch(batch, wish, multiple_of=sequence)
-    config["minibatch_size"] = size
-    if size != wish:
-        reason = f"does not divide {samples}"
-        if batch % wish == 0:
-            reason = f"is no multiple of seq_length {sequence}"
-        _log.info("%sminibatch_size %d %s: using %d", label, wish, reason, size)
-
-
-def fit_minibatch(batch_size: int, minibatch_size: int, multiple_of: int = 1) -> int:
-    """Return the divisor of `batch_size` that is nearest to `minibatch_size` in ratio.
-
-    A minibatch larger than the batch becomes the batch.
-
-    >>> fit_minibatch(1024, 32768)
-    1024
-    >>> fit_minibatch(1000, 300)  # 250 is 1.2 times smaller, 500 is 1.67 times larger
-    250
-
-    Args:
-        batch_size: samples of an epoch, at least 1.
-        minibatch_size: the wish, at least 1.
-        multiple_of: the result is a multiple of this (sequence length of a recurrent network).
-
-    Raises:
-        ValueError: `multiple_of` does not divide `batch_size`.
-    """
-    if batch_size % multiple_of:
-        raise ValueError(f"{multiple_of} does not divide the batch of {batch_size}")
-    candidates = [divisor for divisor in _divisors(batch_size) if divisor % multiple_of == 0]
-    return min(candidates, key=lambda d: max(d, minibatch_size) / min(d, minibatch_size))
-
-
-def _divisors(number: int) -> Iterator[int]:
-    for divisor in range(1, math.isqrt(number) + 1):
-        if number % divisor == 0:
-            yield divisor
-            yield number // divisor

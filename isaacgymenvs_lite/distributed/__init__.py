@@ -1,11 +1,61 @@
-"""Several processes that train one policy, on CPUs or GPUs, on one machine or many."""
+"""Several processes that train one policy, on CPUs or GPUs, on one machine or many.
 
+torchrun starts all processes again, with the same command, when a process has failed
+(`--max-restarts`). The run folder has a file with the name of torchrun's job, so that the new
+processes find the run and resume it.
+"""
+
+from __future__ import annotations
+
+import contextlib
 import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 STARTS = "ISAACGYMENVS_LITE_STARTS"
 """Environment variable: how often a process has replaced itself by a new one (`pbt.restart`)."""
+_FILE = "torchrun_job"
+_MAX_BYTES = 1000
 
 
 def started_by_torchrun() -> bool:
     """Return whether torchrun started this process together with others."""
     return int(os.environ.get("WORLD_SIZE") or 1) > 1
+
+
+def mark_run(run: Path) -> None:
+    """Write the name of torchrun's job into a run folder."""
+    if job := _job():
+        (run / _FILE).write_text(job, encoding="utf-8")
+
+
+def words_after_restart(words: Sequence[str], runs: Iterable[Path]) -> list[str] | None:
+    """Return the command line that resumes the run of this job; None if there is none yet.
+
+    Args:
+        words: the command line that torchrun repeats.
+        runs: the run folders to search.
+    """
+    if os.environ.get("TORCHELASTIC_RESTART_COUNT", "0") == "0" or not _job():
+        return None
+    found = [
+        run
+        for run in runs
+        if _is_of_this_job(run) and (any(run.glob("resume/*.pth")) or any(run.glob("nn/*.pth")))
+    ]
+    if not found:
+        return None
+    kept = [word for word in words if word.startswith(("multi_gpu=", "distributed_timeout_s="))]
+    return [f"resume={max(found, key=lambda run: run.stat().st_mtime)}", *kept]
+
+
+def _job() -> str:
+    """Return the name of torchrun's job; '' if it has none of its own."""
+    name = os.environ.get("TORCHELASTIC_RUN_ID", "")
+    return "" if name == "none" else name
+
+
+def _is_of_this_job(run: Path) -> bool:
+    with contextlib.suppress(OSError), (run / _FILE).open("rb") as file:
+        return file.read(_MAX_BYTES) == _job().encode()
+    return False

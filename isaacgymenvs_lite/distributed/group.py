@@ -37,14 +37,7 @@ _LOST = ("connection closed", "connection reset", "broken pipe", "timed out", "g
 
 @dataclass(frozen=True)
 class ProcessGroup:
-    """The processes of a training, seen from one of them.
-
-    Attributes:
-        rank: of this process.
-        size: number of processes.
-        local_rank: of this process, on its machine.
-        local_size: number of processes on its machine.
-    """
+    """The processes of a training, seen from one of them; local: on the same machine."""
 
     rank: int = 0
     size: int = 1
@@ -115,15 +108,11 @@ class ProcessGroup:
     # --- errors ----------------------------------------------------------------------------
 
     def check_equal(self, values: Mapping[str, Any], what: str) -> None:
-        """Check that all processes have the same values.
-
-        Args:
-            values: of this process; of any kind that JSON has.
-            what: they are, for the message.
+        """Check that all processes have the same values, of kinds that JSON has.
 
         Raises:
-            ConfigError: this process has others than the main one.
-            PeerMistakeError: another process has.
+            ConfigError: values differ from those of the main process.
+            PeerMistakeError: values of another process differ.
         """
         expected = self.from_main(values)
         differing = sorted(
@@ -140,10 +129,7 @@ class ProcessGroup:
         self.fail_together(error)
 
     def fail_together(self, error: UserError | None = None) -> None:
-        """End all processes if one of them has made out a mistake.
-
-        Args:
-            error: of this process; None if all is well here.
+        """End all processes if one of them has an error.
 
         Raises:
             UserError: `error`, in the first process that has one.
@@ -158,11 +144,7 @@ class ProcessGroup:
 
     @contextlib.contextmanager
     def together(self) -> Iterator[None]:
-        """End all processes if one of them makes out a mistake in this block.
-
-        Raises:
-            UserError: as `fail_together`.
-        """
+        """End all processes if one of them raises a `UserError` in this block."""
         try:
             yield
         except UserError as error:
@@ -172,11 +154,7 @@ class ProcessGroup:
 
     @contextlib.contextmanager
     def lost_peers_explained(self) -> Iterator[None]:
-        """Turn what torch raises when another process has gone into a line about that.
-
-        Raises:
-            PeerError: another process has gone, or did not answer in time.
-        """
+        """Turn what torch raises when another process has gone into a `PeerError`."""
         try:
             yield
         except RuntimeError as error:
@@ -215,8 +193,7 @@ def joined_group(
         mistake: of this process, which ends all.
 
     Raises:
-        ConfigError: torchrun has not started this process.
-        UserError: as `fail_together`, if a process had made out a mistake before.
+        UserError: torchrun has not started this process, or a process has a mistake.
         PeerError: another process has not connected in time, or has gone.
     """
     global _current
@@ -261,9 +238,9 @@ def _connect(backend: str, timeout_s: float) -> None:
 
 
 def first_of_all(error: UserError) -> UserError:
-    """Return the error that this process should report, of a mistake before it joins the others.
+    """Return the error that this process should report, before it joins the others.
 
-    All processes mostly make the same one: one of them reports it.
+    Mostly all processes make the same mistake: one of them reports it.
     """
     if dist.is_initialized():
         return error

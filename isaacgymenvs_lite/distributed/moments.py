@@ -17,13 +17,7 @@ from isaacgymenvs_lite.distributed.group import current_group
 
 @dataclass(frozen=True)
 class Moments:
-    """Of the rows of all processes.
-
-    Attributes:
-        count: number of rows.
-        mean: (...) of each column, float64.
-        var: (...) the mean squared deviation from it, float64.
-    """
+    """Count, mean (...) and mean squared deviation (...), float64, of the rows of all processes."""
 
     count: int
     mean: Tensor

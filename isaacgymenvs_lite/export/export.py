@@ -21,12 +21,12 @@ from isaacgymenvs_lite.checkpoints.files import (
 )
 from isaacgymenvs_lite.checkpoints.policy_arguments import as_override, complete_arguments
 from isaacgymenvs_lite.checkpoints.run_config import read_run_config, run_config_file
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.compose import changed_by, compose
 from isaacgymenvs_lite.errors import ConfigError, one_line
 from isaacgymenvs_lite.export.exportable_policy import PolicyGraph, make_exportable_policy
 from isaacgymenvs_lite.export.formats import FORMATS, ExportedPolicy
 from isaacgymenvs_lite.export.metadata import describe
+from isaacgymenvs_lite.paths import shipped_policies
 from isaacgymenvs_lite.runner import load_player
 from isaacgymenvs_lite.schema import plain, setting
 from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask

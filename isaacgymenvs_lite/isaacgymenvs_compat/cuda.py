@@ -10,11 +10,10 @@ from torch.overrides import TorchFunctionMode
 
 
 class CudaIsCpu(TorchFunctionMode):
-    """Makes torch's functions use the CPU where a script names cuda.
+    """Makes torch's functions use the CPU where a script names cuda, in a `with` statement.
 
-    Use it in a `with` statement. Calls of torch.cuda itself are not changed, and neither are
-    other threads. Each call of a torch function goes through Python once more, which costs about
-    as much as adding two small tensors.
+    Calls of torch.cuda itself are not changed, and neither are other threads. Each call of a torch
+    function takes about as much longer as adding two small tensors.
     """
 
     def __torch_function__(

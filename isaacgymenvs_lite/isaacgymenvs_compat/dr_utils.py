@@ -14,18 +14,8 @@ import torch
 
 from isaacgymenvs_lite.isaacgymenvs_compat.stand_ins import StandInModule
 from isaacgymenvs_lite.schema import read_section
-from isaacgymenvs_lite.tasks.randomization.sampling import bucketed, draw
+from isaacgymenvs_lite.tasks.randomization.randomizer import bucketed, draw
 from isaacgymenvs_lite.tasks.randomization.settings import AttributeSettings
-
-__all__ = [
-    "apply_random_samples",
-    "check_buckets",
-    "generate_random_samples",
-    "get_bucketed_val",
-    "get_default_setter_args",
-    "get_property_getter_map",
-    "get_property_setter_map",
-]
 
 _stand_ins = StandInModule(
     "isaacgymenvs.utils.dr_utils",
@@ -55,9 +45,6 @@ def generate_random_samples(
         shape: of the result.
         curr_gym_step_count: simulator calls so far, which the schedule depends on.
         extern_sample: numbers that were drawn elsewhere, to be put on the schedule only.
-
-    Raises:
-        ConfigError: a key is missing or has a wrong value.
     """
     settings = read_section(
         AttributeSettings, {**attr_randomization_params, "num_buckets": None}, _WHERE
@@ -73,10 +60,6 @@ def generate_random_samples(
 def get_bucketed_val(
     new_prop_val: npt.ArrayLike, attr_randomization_params: Mapping[str, Any]
 ) -> npt.NDArray[np.float64]:
-    """Return values rounded down to `num_buckets` steps; those outside go to the nearest one.
-
-    Raises:
-        ConfigError: a key is missing or has a wrong value.
-    """
+    """Return values rounded down to `num_buckets` steps within the range."""
     settings = read_section(AttributeSettings, attr_randomization_params, _WHERE)
     return bucketed(torch.as_tensor(new_prop_val, dtype=torch.float64), settings).numpy()

@@ -28,7 +28,7 @@ STAND_INS: dict[str, str] = {
         ("pbt.experiments", "pbt.launcher"),
         "processes are not started from Python here: start a training once for each policy, with"
         " pbt=pbt_default pbt.policy_idx=0, 1, ... (docs/pbt.md)",
-    ),
+    )
 }
 """Packages whose names can be imported, and why using one is an error."""
 
@@ -41,10 +41,7 @@ ABSENT: dict[str, str] = {
         "tasks with hands are not here yet",
     ),
     **dict.fromkeys(
-        (
-            *("tasks.factory", "tasks.franka_cabinet", "tasks.franka_cube_stack"),
-            "tasks.industreal",
-        ),
+        (*("tasks.factory", "tasks.franka_cabinet", "tasks.franka_cube_stack"), "tasks.industreal"),
         "tasks with arms are not here yet",
     ),
     "tasks.amp.poselib": (
@@ -59,11 +56,7 @@ ABSENT: dict[str, str] = {
 
 
 def absent_because(module: str) -> str | None:
-    """Return why a published module has no counterpart, None if it is in no table.
-
-    Args:
-        module: name below the published package, such as `tasks.factory.factory_base`.
-    """
+    """Return why a published module (`tasks.factory.factory_base`) has no counterpart, or None."""
     return _below(module, ABSENT)
 
 
@@ -73,7 +66,5 @@ def stand_in_because(module: str) -> str | None:
 
 
 def _below(module: str, table: dict[str, str]) -> str | None:
-    for name, reason in table.items():
-        if module == name or module.startswith(f"{name}."):
-            return reason
-    return None
+    names = (name for name in table if f"{module}.".startswith(f"{name}."))
+    return table.get(next(names, ""))

@@ -17,28 +17,15 @@ from isaacgymenvs_lite.pbt.observer import PBTObserver, first_mutation, populati
 from isaacgymenvs_lite.pbt.restart import RestartRequest, start_again
 from isaacgymenvs_lite.schema import plain
 
-__all__ = ["PbtAlgoObserver", "initial_pbt_check"]
-
 
 def initial_pbt_check(cfg: DictConfig) -> None:
-    """Change the settings of a policy that begins, in the tree itself; there by a restart.
-
-    Args:
-        cfg: the composed tree.
-
-    Raises:
-        ConfigError: the section `pbt` cannot be used.
-    """
+    """Change the settings of a policy that begins, in the composed tree itself."""
     for path, value in first_mutation(plain(cfg), _seed(cfg)).items():
         OmegaConf.update(cfg, path, value)
 
 
 class PbtAlgoObserver(AlgoObserver):
-    """Compares the policy with its population; restarts the script if the policy is replaced.
-
-    Args:
-        cfg: the composed tree.
-    """
+    """Compares the policy with its population; restarts the script if the policy is replaced."""
 
     def __init__(self, cfg: DictConfig) -> None:
         super().__init__()
@@ -46,11 +33,7 @@ class PbtAlgoObserver(AlgoObserver):
         self._open = ExitStack()
 
     def after_init(self, algo: Any) -> None:
-        """Join the population.
-
-        Raises:
-            ConfigError: the workspace cannot be used, or `pbt.enabled` is False.
-        """
+        """Join the population."""
         self._algo = algo
         population = population_of(plain(self._cfg), _seed(self._cfg), Path(algo.train_dir))
         observer = self._open.enter_context(population)

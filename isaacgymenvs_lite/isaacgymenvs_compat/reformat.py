@@ -7,8 +7,6 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-__all__ = ["omegaconf_to_dict", "print_dict"]
-
 
 def omegaconf_to_dict(d: DictConfig) -> dict[str, Any]:
     """Return a configuration as plain dictionaries, interpolations resolved."""

@@ -15,19 +15,10 @@ from torch import Tensor
 
 from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.isaacgymenvs_compat.utils import set_seed
-from isaacgymenvs_lite.run.observers import MultiObserver
-from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver as RLGPUAlgoObserver
+from isaacgymenvs_lite.run.metrics import TaskScalarsObserver as RLGPUAlgoObserver  # noqa: F401
+from isaacgymenvs_lite.run.observers import MultiObserver  # noqa: F401  a published name
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
-
-__all__ = [
-    "ComplexObsRLGPUEnv",
-    "MultiObserver",
-    "RLGPUAlgoObserver",
-    "RLGPUEnv",
-    "get_rlgames_env_creator",
-    "multi_gpu_get_rank",
-]
 
 
 def multi_gpu_get_rank(multi_gpu: bool) -> int:
@@ -72,9 +63,9 @@ def get_rlgames_env_creator(
         task_name: in the task map.
         sim_device: where the physics runs.
         rl_device: where `step` returns its tensors.
-        graphics_device_id: of the renderer.
+        graphics_device_id: as `make`, like the other arguments.
         headless: without a window.
-        multi_gpu: seed each process of its own.
+        multi_gpu: give each process a seed of its own.
         post_create_hook: called after a task was made.
         virtual_screen_capture: as `make`.
         force_render: as `make`.
@@ -100,12 +91,12 @@ def get_rlgames_env_creator(
 
 
 class ObsSpec(TypedDict):
-    """What an agent is given as one of its inputs.
+    """Describes an input of an agent.
 
     Attributes:
         names: of the task's observations, in their order.
-        concat: one tensor (N, sum of D) of them, in the place of a dictionary.
-        space_name: under which rl_games finds its space: observation_space or state_space.
+        concat: give one tensor (N, sum of D) instead of a dictionary.
+        space_name: rl_games' name of its space: observation_space or state_space.
     """
 
     names: Sequence[str]
@@ -116,11 +107,8 @@ class ObsSpec(TypedDict):
 class ComplexObsRLGPUEnv(RLGPUEnv):
     """`RLGPUEnv` for networks with several inputs, of a task that observes several things.
 
-    Args:
-        config_name: name of the environment in rl_games' configurations, `rlgpu`.
-        num_actors: rl_games' number of environments; the task's own counts.
-        obs_spec: `obs`, and `states` for an asymmetric critic.
-        kwargs: for the creator.
+    `obs_spec` has `obs`, and `states` for an asymmetric critic; the task's own number of
+    environments counts.
     """
 
     def __init__(

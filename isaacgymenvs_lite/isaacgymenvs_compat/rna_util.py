@@ -5,8 +5,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-__all__ = ["RandomNetworkAdversary"]
-
 _HIDDEN_UNITS = (512, 1024)
 
 
@@ -15,13 +13,6 @@ class RandomNetworkAdversary(nn.Module):
 
     Its outputs are probabilities of bins of each action. All environments share the weights;
     each has its own mask of dropped units, which replaces a network for each.
-
-    Args:
-        num_envs: N.
-        in_dims: numbers in an input.
-        out_dims: actions, A.
-        softmax_bins: bins of an action, B.
-        device: where the network lives.
     """
 
     def __init__(

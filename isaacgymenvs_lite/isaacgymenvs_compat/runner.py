@@ -8,7 +8,7 @@ from typing import Any
 from rl_games.algos_torch.model_builder import ModelBuilder
 from rl_games.torch_runner import Runner
 
-from isaacgymenvs_lite.config.devices import check_device
+from isaacgymenvs_lite.config.launch import check_device
 from isaacgymenvs_lite.registration import register_algorithms, register_networks
 
 _original_init = Runner.__init__

@@ -16,9 +16,7 @@ from isaacgymenvs_lite.errors import UnavailableError
 class StandInModule(ModuleType):
     """A module that has every name; see the module docstring.
 
-    Args:
-        name: dotted name of the module.
-        reason: why its names do nothing and what to use instead, for the error.
+    The reason, in errors, says why its names do nothing and what to use instead.
     """
 
     # What has a path is a package: modules below it are imported in the same way.

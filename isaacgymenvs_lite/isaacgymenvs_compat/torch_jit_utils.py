@@ -4,6 +4,8 @@ Quaternions are xyzw, but for `quaternion_to_matrix` and `matrix_to_quaternion`,
 comes first. Rotations are those of `utils.rotations`; nothing is compiled.
 """
 
+# ruff: noqa: F401  names that are imported only are published names
+
 from __future__ import annotations
 
 from typing import TypeVar
@@ -43,57 +45,6 @@ from isaacgymenvs_lite.utils.rotations import (
     xyzw_from_wxyz,
 )
 from isaacgymenvs_lite.utils.scaling import scale, unscale
-
-__all__ = [
-    "angle_axis_to_exp_map",
-    "calc_heading",
-    "calc_heading_quat",
-    "calc_heading_quat_inv",
-    "compute_heading_and_up",
-    "compute_rot",
-    "copysign",
-    "euler_xyz_to_exp_map",
-    "exp_map_to_angle_axis",
-    "exp_map_to_quat",
-    "get_axis_params",
-    "get_basis_vector",
-    "get_euler_xyz",
-    "local_to_world_space",
-    "matrix_to_quaternion",
-    "my_quat_rotate",
-    "normalise_quat_in_pose",
-    "normalize",
-    "normalize_angle",
-    "quat_apply",
-    "quat_axis",
-    "quat_conjugate",
-    "quat_diff_rad",
-    "quat_from_angle_axis",
-    "quat_from_euler_xyz",
-    "quat_mul",
-    "quat_rotate",
-    "quat_rotate_inverse",
-    "quat_to_angle_axis",
-    "quat_to_exp_map",
-    "quat_to_tan_norm",
-    "quat_unit",
-    "quaternion_to_matrix",
-    "saturate",
-    "scale",
-    "scale_transform",
-    "slerp",
-    "tensor_clamp",
-    "tf_apply",
-    "tf_combine",
-    "tf_inverse",
-    "tf_vector",
-    "to_torch",
-    "torch_rand_float",
-    "torch_random_dir_2",
-    "unscale",
-    "unscale_np",
-    "unscale_transform",
-]
 
 _Array = TypeVar("_Array", Tensor, npt.NDArray[np.floating])
 
@@ -141,11 +92,7 @@ def quaternion_to_matrix(quaternions: Tensor) -> Tensor:
 
 
 def matrix_to_quaternion(matrix: Tensor) -> Tensor:
-    """Return the quaternions (..., 4), real part first, of rotation matrices (..., 3, 3).
-
-    Raises:
-        ValueError: the last two dimensions are not 3 and 3.
-    """
+    """Return the quaternions (..., 4), real part first, of rotation matrices (..., 3, 3)."""
     return wxyz_from_xyzw(matrix_to_quat(matrix))
 
 
@@ -216,8 +163,8 @@ def compute_heading_and_up(
         torso_rotation: (n, 4).
         inv_start_rot: (n, 4) inverse of the rotation at the start.
         to_target: (n, 3) m.
-        vec0: (n, 3) what is ahead in the torso's frame.
-        vec1: (n, 3) what is up there.
+        vec0: (n, 3) forward axis in the torso's frame.
+        vec1: (n, 3) up axis in the torso's frame.
         up_idx: index of the world's vertical axis.
 
     Returns:
@@ -235,12 +182,8 @@ def compute_rot(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Return how n torsos move in their frames, and how they are turned to a target.
 
-    Args:
-        torso_quat: (n, 4).
-        velocity: (n, 3) m/s in the world.
-        ang_velocity: (n, 3) rad/s in the world.
-        targets: (n, 3) m.
-        positions: (n, 3) m.
+    Arguments are in the world: rotations (n, 4), velocities (n, 3) m/s and rad/s, and positions
+    (n, 3) m.
 
     Returns:
         both velocities (n, 3) in the torsos' frames, roll, pitch, yaw (n,) in [0, 2 pi), and the

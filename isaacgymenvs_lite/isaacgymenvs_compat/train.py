@@ -9,16 +9,9 @@ from omegaconf import DictConfig
 from isaacgymenvs_lite.config.rl_games_settings import scale_units
 from isaacgymenvs_lite.train import main
 
-__all__ = ["launch_rlg_hydra", "preprocess_train_config"]
-
 
 def launch_rlg_hydra(cfg: DictConfig | None = None) -> None:
-    """Train or play as `sys.argv` or a composed tree describes.
-
-    Raises:
-        UserError: anything that the user can mend in the tree; mistakes in `sys.argv` end the
-            program with one line, as train.py does.
-    """
+    """Train or play as `sys.argv` or a composed tree describes."""
     if cfg is None:
         main()
         return
@@ -28,14 +21,9 @@ def launch_rlg_hydra(cfg: DictConfig | None = None) -> None:
 
 
 def preprocess_train_config(cfg: DictConfig, config_dict: dict[str, Any]) -> dict[str, Any]:
-    """Complete a train section for rl_games from the root of the tree.
+    """Complete a train section for rl_games from the root of the tree; it is changed and returned.
 
-    Args:
-        cfg: the composed tree.
-        config_dict: its train section as dictionaries; it is changed.
-
-    Returns:
-        `config_dict`, with device, name of the run and scaled units of the network.
+    It gets the device, the name of the run and scaled units of the network.
     """
     pbt = cfg.pbt
     config_dict["params"]["config"] |= {

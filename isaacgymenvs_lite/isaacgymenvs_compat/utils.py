@@ -11,7 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -19,24 +19,7 @@ from isaacgymenvs_lite.config.launch import resolve_seed
 from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.errors import ConfigError
 
-__all__ = [
-    "ensure_dir_exists",
-    "flatten_dict",
-    "get_username",
-    "nested_dict_get_attr",
-    "nested_dict_set_attr",
-    "project_tmp_dir",
-    "retry",
-    "safe_ensure_dir_exists",
-    "set_np_formatting",
-    "set_seed",
-]
-
 log = logging.getLogger(__name__)
-
-_P = ParamSpec("_P")
-_T = TypeVar("_T")
-_LONGEST_PAUSE_S = 30.0
 
 
 def set_np_formatting() -> None:
@@ -45,38 +28,27 @@ def set_np_formatting() -> None:
 
 
 def set_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) -> int:
-    """Seed Python, numpy and torch, another one in each process; return the seed.
-
-    Args:
-        seed: -1 draws one.
-        torch_deterministic: forbid nondeterministic kernels.
-        rank: of this process.
-    """
+    """Seed Python, numpy and torch by seed and rank; return the seed. -1 draws one."""
     resolved = resolve_seed(seed, torch_deterministic, rank)
     seed_everything(resolved, torch_deterministic)
     return resolved
 
 
-def retry(
-    times: int, exceptions: type[Exception] | tuple[type[Exception], ...]
-) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
-    """Return a decorator that calls a function again when it fails, `times` times at most.
+def retry(times: int, exceptions: type[Exception] | tuple[type[Exception], ...]) -> Callable:
+    """Return a decorator that calls a function again after exceptions, `times` times at most.
 
-    Args:
-        times: further calls after a failure; before the k-th there is a pause of 2^(k - 1) s, of
-            30 s at most. What the last call raises comes through.
-        exceptions: what counts as a failure.
+    Before the k-th repetition there is a pause of 2^(k - 1) s, of 30 s at most.
     """
 
-    def decorate(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    def decorate(function: Callable) -> Callable:
         @functools.wraps(function)
-        def again(*args: _P.args, **kwargs: _P.kwargs) -> _T:
+        def again(*args: Any, **kwargs: Any) -> Any:
             for attempt in range(times):
                 try:
                     return function(*args, **kwargs)
                 except exceptions as error:
                     log.warning("%s failed (%s), attempt %d", function, error, attempt + 1)
-                    time.sleep(min(2.0**attempt, _LONGEST_PAUSE_S))
+                    time.sleep(min(2.0**attempt, 30.0))
             return function(*args, **kwargs)
 
         return again
@@ -125,11 +97,7 @@ def get_username() -> str:
 
 
 def project_tmp_dir() -> str:
-    """Make and return the folder `ige_<user>` among the system's temporary files.
-
-    Raises:
-        ConfigError: somebody else has made it, or a link of that name.
-    """
+    """Make and return the folder `ige_<user>` among the system's temporary files."""
     folder = Path(tempfile.gettempdir()) / f"ige_{get_username()}"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     status = folder.lstat()

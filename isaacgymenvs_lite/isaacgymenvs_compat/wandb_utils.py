@@ -12,18 +12,11 @@ from isaacgymenvs_lite.run.wandb_observer import WandbObserver
 from isaacgymenvs_lite.schema import keys_of, plain, read_section
 from isaacgymenvs_lite.utils.optional_packages import require
 
-__all__ = ["WandbAlgoObserver"]
-
 
 class WandbAlgoObserver(WandbObserver):
     """Opens a run of Weights & Biases when the agent begins, under the agent's experiment name.
 
-    Args:
-        cfg: the composed tree, with the keys wandb_project, _entity, _group, _name, ...
-
-    Raises:
-        MissingPackageError: wandb is not installed.
-        ConfigError: a key of wandb's has a wrong value.
+    The composed tree has the keys wandb_project, _entity, _group, _name, ...
     """
 
     def __init__(self, cfg: DictConfig | Mapping[str, Any]) -> None:

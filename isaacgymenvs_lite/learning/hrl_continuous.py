@@ -184,7 +184,9 @@ class HRLAgent(CommonAgent):
         rewards = torch.zeros(len(actions), 1, device=self.ppo_device)
         self.style_rewards = torch.zeros_like(rewards)
         infos: dict[str, Any] = {}
+        reset_buf = self._env.reset_buf
         for _ in range(self._hrl.llc_steps):
+            reset_buf.zero_()  # an episode that ended goes on until the last step
             raw_obs, step_rewards, dones, infos = self.vec_env.step(
                 self._compute_llc_action(obs, actions)
             )
@@ -202,7 +204,6 @@ class HRLAgent(CommonAgent):
             going_on *= 1.0 - dones.float()
         self.style_rewards /= self._hrl.llc_steps
         # Later steps may have cleared the mark of an episode that ended in an earlier one.
-        reset_buf = self._env.reset_buf
         reset_buf.masked_fill_((going_on == 0.0).to(reset_buf.device), 1)
         infos = {**infos, "terminate": terminate, "diverged": diverged}
         return {"obs": obs}, rewards / self._hrl.llc_steps, 1.0 - going_on, infos

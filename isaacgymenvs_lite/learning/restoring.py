@@ -15,8 +15,7 @@ import torch
 from rl_games.common.player import BasePlayer
 from torch import Tensor, nn
 
-from isaacgymenvs_lite.checkpoints.files import LLC_KEY, load_checkpoint, short
-from isaacgymenvs_lite.checkpoints.optimizer_state import fit_optimizer_state
+from isaacgymenvs_lite.checkpoints.files import LLC_KEY, fit_optimizer_state, load_checkpoint, short
 from isaacgymenvs_lite.errors import CheckpointError
 
 _COMPILED_PREFIX = "_orig_mod."

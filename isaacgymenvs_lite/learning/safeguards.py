@@ -19,9 +19,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.checkpoints.files import load_checkpoint, save_checkpoint
+from isaacgymenvs_lite.checkpoints.files import Retention, load_checkpoint, save_checkpoint
 from isaacgymenvs_lite.checkpoints.packed import POLICY_KEY
-from isaacgymenvs_lite.checkpoints.retention import Retention
 from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError
 from isaacgymenvs_lite.learning.data_parallel import DataParallel

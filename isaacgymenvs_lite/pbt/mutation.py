@@ -10,10 +10,6 @@ from isaacgymenvs_lite.config.pbt_settings import MUTATIONS
 from isaacgymenvs_lite.errors import ConfigError, unknown
 
 CHANGE_MIN, CHANGE_MAX = 1.1, 1.5
-_EPS_CLIP = (0.01, 0.3)
-_MINI_EPOCHS = (1, 8)
-# A small change of gamma is a large one of the values that are learned.
-_DISCOUNT_CHANGE = (1.1, 1.2)
 
 Generator = random.Random
 _GLOBAL = random.Random()
@@ -25,14 +21,7 @@ def mutate_float(
     change_max: float = CHANGE_MAX,
     rng: Generator = _GLOBAL,
 ) -> float:
-    """Return x times or divided by a factor, with equal probability.
-
-    Args:
-        x: the value.
-        change_min: least factor.
-        change_max: largest factor.
-        rng: source of the random numbers.
-    """
+    """Return x times or divided by a random factor, with equal probability."""
     factor = rng.uniform(change_min, change_max)
     return x * factor if rng.random() < 0.5 else x / factor
 
@@ -44,35 +33,34 @@ def mutate_float_min_1(x: float, **options: Any) -> float:
 
 def mutate_eps_clip(x: float, **options: Any) -> float:
     """Return as `mutate_float`, within the range of PPO's clipping, 0.01 to 0.3."""
-    low, high = _EPS_CLIP
-    return min(high, max(low, mutate_float(x, **options)))
+    return min(0.3, max(0.01, mutate_float(x, **options)))
 
 
 def mutate_mini_epochs(x: int, rng: Generator = _GLOBAL, **_: Any) -> int:
     """Return one more or one less, with equal probability, within 1 to 8."""
-    low, high = _MINI_EPOCHS
-    return min(high, max(low, int(x) + (1 if rng.random() < 0.5 else -1)))
+    return min(8, max(1, int(x) + (1 if rng.random() < 0.5 else -1)))
 
 
 def mutate_discount(x: float, rng: Generator = _GLOBAL, **_: Any) -> float:
     """Return a discount whose distance from 1 changed by a factor of 1.1 to 1.2, at least 0."""
-    return max(0.0, 1.0 - mutate_float(1.0 - x, *_DISCOUNT_CHANGE, rng=rng))
+    # A small change of gamma is a large change of the learned values.
+    return max(0.0, 1.0 - mutate_float(1.0 - x, 1.1, 1.2, rng=rng))
 
 
 _FUNCTIONS: dict[str, Callable[..., float]] = {
     function.__name__: function
     for function in (
-        *(mutate_float, mutate_float_min_1, mutate_eps_clip, mutate_mini_epochs, mutate_discount),
+        mutate_float,
+        mutate_float_min_1,
+        mutate_eps_clip,
+        mutate_mini_epochs,
+        mutate_discount,
     )
 }
 
 
 def get_mutation_func(mutation_func_name: str) -> Callable[..., float]:
-    """Return a function by its name.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """Return a function by its name; an unknown name is a `ConfigError`."""
     if mutation_func_name not in _FUNCTIONS:
         raise ConfigError(unknown("function", mutation_func_name, MUTATIONS))
     return _FUNCTIONS[mutation_func_name]
@@ -86,15 +74,10 @@ def mutate(
     pbt_change_max: float,
     rng: Generator = _GLOBAL,
 ) -> dict[str, float]:
-    """Return settings of which each has changed with the probability `mutation_rate`.
+    """Return settings by path, each changed with the probability `mutation_rate`.
 
-    Args:
-        params: settings by path.
-        mutations: path -> name of a function.
-        mutation_rate: 0 to 1.
-        pbt_change_min: least factor.
-        pbt_change_max: largest factor.
-        rng: source of the random numbers.
+    `mutations` has the name of a function for each path; factors are at least `pbt_change_min` and
+    at most `pbt_change_max`.
     """
     options = {"change_min": pbt_change_min, "change_max": pbt_change_max, "rng": rng}
     return {

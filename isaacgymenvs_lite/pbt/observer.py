@@ -1,31 +1,41 @@
-"""Population based training as an observer of a training."""
+"""Population based training as an observer of a training.
+
+Who is replaced follows DexPBT (Petrenko et al. 2023, arXiv:2305.12127) as IsaacGymEnvs has it.
+"""
 
 from __future__ import annotations
 
 import logging
+import math
 import random
+import statistics
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import torch
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 from isaacgymenvs_lite.checkpoints.training_state import write_start
 from isaacgymenvs_lite.config.pbt_settings import PBTSettings, mutable_values, read_pbt_settings
+from isaacgymenvs_lite.env_interface import diverged_in
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError, one_line
 from isaacgymenvs_lite.pbt.mutation import mutate
-from isaacgymenvs_lite.pbt.objective import ObjectiveMeter
-from isaacgymenvs_lite.pbt.population import find_replacement
 from isaacgymenvs_lite.pbt.restart import RestartRequest
 from isaacgymenvs_lite.pbt.workspace import Record, Workspace
 
 log = logging.getLogger(__name__)
 
-# A policy that gets the weights of a better one keeps its own settings as often as it takes those.
+KEY = "true_objective"
+"""Key of a task's infos: (N,), what matters in the end, whatever the reward is made of."""
+# Probability that a policy that gets the weights of a better policy takes its settings, too.
 _TAKE_SETTINGS = 0.5
+# Share of the population, the worst, that the spread is measured without: a policy that broke down
+# would hide all other differences.
+_OUTLIERS = 0.2
 
 
 def run_suffix(tree: Mapping[str, Any]) -> str:
@@ -37,12 +47,7 @@ def run_suffix(tree: Mapping[str, Any]) -> str:
 def first_mutation(tree: Mapping[str, Any], seed: int) -> dict[str, float]:
     """Return settings, by their paths, with which a policy begins to differ from the others.
 
-    Args:
-        tree: resolved.
-        seed: of the training.
-
-    Returns:
-        Nothing without a population, or if the policy has begun before this process.
+    There are none without a population, or if the policy has begun before this process.
     """
     pbt = read_pbt_settings(tree)
     if pbt is None or _goes_on(tree):
@@ -63,13 +68,13 @@ def mutable_settings(tree: Mapping[str, Any]) -> dict[str, float]:
 def population_of(
     tree: Mapping[str, Any], seed: int, train_dir: Path, decides: bool = True
 ) -> Iterator[PBTObserver | None]:
-    """Join the population of a tree, and give its observer; None without one.
+    """Join the population of a resolved tree, and give its observer; None without a population.
 
     Args:
         tree: resolved.
         seed: of the training.
         train_dir: folder of the runs.
-        decides: False of all but the first of several processes that train one policy: these
+        decides: False in all but the first of several processes that train one policy: these
             leave the workspace alone.
 
     Raises:
@@ -89,6 +94,58 @@ def population_of(
         yield observer
 
 
+class ObjectiveMeter:
+    """The objective of the policy that trains, and the best that it reached since a comparison.
+
+    With `infos["true_objective"]`: the mean over all environments of the value at the end of the
+    last episode. Without: the mean reward of the last `games_to_track` episodes.
+    """
+
+    def __init__(self, algo: Any) -> None:
+        self._algo = algo
+        self._last: Tensor | None = None  # (N,) nan before the first end of an episode
+        self._best = -math.inf
+
+    def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
+        """Take the values of the environments (n, 1) whose episodes ended in a step."""
+        rows = done_indices.flatten()
+        if len(rows) == 0:
+            return
+        if KEY in infos:
+            values = torch.as_tensor(infos[KEY])
+            num_envs = self._algo.num_actors
+            if values.shape != (num_envs,):
+                raise ConfigError(
+                    f"infos['{KEY}'] of the task has the shape {tuple(values.shape)}; population"
+                    f" based training expects one number for each environment, ({num_envs},)"
+                )
+            if self._last is None:
+                self._last = torch.full((num_envs,), math.nan, device=values.device)
+            rows = rows.to(values.device)
+            if (diverged := diverged_in(infos, values.device)) is not None:
+                rows = rows[~diverged[rows]]  # cut off: no end of an episode
+            self._last[rows] = values[rows].float()
+        value = self.value
+        if value is not None:
+            self._best = max(self._best, value)
+
+    @property
+    def value(self) -> float | None:
+        """The objective; None while episodes are missing."""
+        if self._last is not None:
+            mean = self._last.mean().item()
+        elif self._algo.game_rewards.current_size >= self._algo.games_to_track:
+            mean = float(self._algo.game_rewards.get_mean().flatten()[0])
+        else:
+            return None
+        return mean if math.isfinite(mean) else None
+
+    def end_interval(self, value: float) -> float:
+        """Return the best value since the last call, including the present one, and forget it."""
+        best, self._best = max(self._best, value), -math.inf
+        return best
+
+
 class PBTObserver(AlgoObserver):
     """Compares the policy with its population, and ends the training that should go on changed.
 
@@ -99,15 +156,8 @@ class PBTObserver(AlgoObserver):
     restart: `after_steps` is called in each at the same place, and `share` sends the decision. All
     of them need the seed of the first, so that they begin with the same settings.
 
-    Args:
-        settings: of the population.
-        workspace: of this policy.
-        params: settings that mutate, numbers by path.
-        seed: of the training; with the policy's index it decides all mutations.
-        task: its name.
-
     Attributes:
-        decides: whether this process decides; False of all but the first of a policy.
+        decides: whether this process decides; False in all but the first process of a policy.
         share: receives the first process' decision (None elsewhere) and returns it in all.
         is_stopping: returns whether the training is about to end, so that nothing restarts.
         check_settings: raises if a training would refuse these numbers by key path.
@@ -129,7 +179,8 @@ class PBTObserver(AlgoObserver):
         self._iteration: int | None = None
         self._first_frame = 0
         self.decides = True
-        self.share: Callable[[RestartRequest | None], RestartRequest | None] = _as_it_is
+        self.share: Callable[[RestartRequest | None], RestartRequest | None]
+        self.share = lambda request: request
         self.is_stopping: Callable[[], bool] = lambda: False
         self.check_settings: Callable[[Mapping[str, float]], object] = lambda settings: None
 
@@ -143,24 +194,10 @@ class PBTObserver(AlgoObserver):
         self._objective.process_infos(infos, done_indices)
 
     def after_steps(self) -> None:
-        """Compare if it is time.
-
-        Raises:
-            RestartRequest: the policy is replaced.
-        """
+        """Compare if it is time; raise a `RestartRequest` if the policy is replaced."""
         request = self.share(self.decide() if self.decides else None)
         if request is not None:
-            self.act(request)
-
-    def act(self, request: RestartRequest) -> None:
-        """Leave rl_games' loop.
-
-        Raises:
-            RestartRequest: always.
-        """
-        raise request
-
-    # --- deciding --------------------------------------------------------------------------
+            raise request
 
     def decide(self) -> RestartRequest | None:
         """Compare if it is time; return what to restart with if the policy is replaced."""
@@ -193,11 +230,7 @@ class PBTObserver(AlgoObserver):
             del population[donor]  # broken: choose again without it
 
     def _exchange(self, iteration: int, objective: float) -> dict[int, Record]:
-        """Write this policy's record; return the newest one of each policy.
-
-        Raises:
-            OSError: the workspace cannot be written.
-        """
+        """Write this policy's record; return the newest record of each policy."""
         algo, workspace = self._algo, self._workspace
         record = Record(
             iteration=iteration,
@@ -237,11 +270,7 @@ class PBTObserver(AlgoObserver):
                 return leader
 
     def _state_of(self, policy: int, record: Record) -> dict[str, Any]:
-        """Return the checkpoint of a policy.
-
-        Raises:
-            CheckpointError: this policy could not go on with it.
-        """
+        """Return the checkpoint of a policy, if this policy could go on with it."""
         file = self._workspace.checkpoint_of(policy, record)
         state = load_checkpoint(file)
         # An agent of a fork's own may have no such check.
@@ -263,7 +292,11 @@ class PBTObserver(AlgoObserver):
         run = Path(algo.experiment_dir)
         try:
             state = self._state_of(donor, population[donor])
-            self._check(params, donor)
+            try:
+                self.check_settings(params)
+            except Exception as error:  # a task of the user's own may raise anything
+                texts = ", ".join(f"{path}={value:.4g}" for path, value in params.items())
+                raise ConfigError(f"{one_line(error)}; settings of {donor}: {texts}") from error
             # The run goes on where it is; only the networks are another policy's.
             state |= {"frame": algo.frame, "epoch": population[own].epoch}
             if donor != own:
@@ -280,22 +313,61 @@ class PBTObserver(AlgoObserver):
             *(own, population[own].true_objective, donor, population[donor].true_objective),
             _changes(self._params, params),
         )
-        return RestartRequest(
-            {
-                **params,
-                "checkpoint": str(file.absolute()),
-                "full_experiment_name": algo.experiment_name,
-                "pbt_restart": True,
-            },
-            run,
-        )
+        changed = {
+            **params,
+            "checkpoint": str(file.absolute()),
+            "full_experiment_name": algo.experiment_name,
+            "pbt_restart": True,
+        }
+        return RestartRequest(changed, run)
 
-    def _check(self, params: Mapping[str, float], donor: int) -> None:
-        try:
-            self.check_settings(params)
-        except Exception as error:  # a task of the user's own may raise anything
-            texts = ", ".join(f"{path}={value:.4g}" for path, value in params.items())
-            raise ConfigError(f"{one_line(error)}; settings of policy {donor}: {texts}") from error
+
+def find_replacement(
+    settings: PBTSettings,
+    objectives: Mapping[int, float],
+    best_of_interval: float,
+    rng: random.Random,
+) -> int | None:
+    """Return the policy whose weights `settings.policy_idx` goes on with; None for no change.
+
+    A policy among the worst goes on with new settings in any case. It gets the weights of one of
+    the best only if the difference is clear; else the result is its own index.
+
+    Args:
+        settings: of the population.
+        objectives: of the known policies, by index.
+        best_of_interval: best objective of the policy since the last comparison.
+        rng: chooses among the best.
+    """
+    own, total = settings.policy_idx, settings.num_policies
+    ranked = sorted(objectives, key=lambda index: (-objectives[index], index))
+    best = ranked[: math.ceil(settings.replace_fraction_best * total)]
+    if not settings.dbg_mode:
+        # A policy that is not known yet ranks behind all others.
+        unknown = [index for index in range(total) if index not in objectives]
+        worst = [*ranked, *unknown][-math.ceil(settings.replace_fraction_worst * total) :]
+        reached = min(objectives[index] for index in best)
+        if (
+            own not in worst
+            or best_of_interval >= reached
+            or len(objectives) < num_needed(settings.num_policies)
+        ):
+            return None
+    donor = rng.choice(best)
+    lead = objectives[donor] - objectives[own]
+    values = sorted(objectives.values())
+    spread = statistics.pstdev(values[math.floor(_OUTLIERS * len(values)) :])
+    by_spread = settings.replace_threshold_frac_std * spread
+    by_size = settings.replace_threshold_frac_absolute * abs(objectives[donor])
+    return donor if lead > by_spread and lead > by_size else own
+
+
+def num_needed(num_policies: int) -> int:
+    """Return how many policies must be known before one is replaced: more than half of them.
+
+    At least three, as in IsaacGymEnvs; there a population of two never changes, here two do.
+    """
+    return min(num_policies, max(2, num_policies // 2) + 1)
 
 
 def _goes_on(tree: Mapping[str, Any]) -> bool:
@@ -319,7 +391,3 @@ def _changes(former: Mapping[str, float], params: Mapping[str, float]) -> str:
     changed = {path for path in params if params[path] != former[path]}
     texts = [f"{path} {former[path]:.4g} -> {params[path]:.4g}" for path in sorted(changed)]
     return ", ".join(texts) or "the settings as they are"
-
-
-def _as_it_is(request: RestartRequest | None) -> RestartRequest | None:
-    return request

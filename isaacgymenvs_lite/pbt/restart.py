@@ -22,11 +22,8 @@ class RestartRequest(Exception):  # noqa: N818  not an error: the way out of rl_
     """Ends a training that goes on with other settings in a new process.
 
     `runner.train` closes task, log and folders on its way; then train.py calls `start_again`. A
-    program that called `runner.run` composes the tree again with `overrides`.
-
-    Args:
-        settings: values by their paths in the tree.
-        run: the run folder, in which the training goes on.
+    program that called `runner.run` composes the tree again with `overrides`. `settings` has values
+    by their paths in the tree.
     """
 
     def __init__(self, settings: Mapping[str, str | float | bool], run: Path) -> None:
@@ -61,16 +58,15 @@ class RestartRequest(Exception):  # noqa: N818  not an error: the way out of rl_
 
 
 def start_again(request: RestartRequest, typed: Sequence[str]) -> NoReturn:
-    """Replace this process by the same command with the settings of a request.
+    """Replace this process by the same command `typed` with the settings of a request.
 
     The environment stays, so that a launcher such as torchrun finds the process as it was. Files
     and locks that are still open are closed by the system: Python opens them close-on-exec.
-
-    Args:
-        request: what changes.
-        typed: the words after the program's name.
     """
-    command = [sys.executable, *_program(typed), *request.words(typed)]
+    own = sys.orig_argv[1:]
+    end = len(own) - len(typed)
+    is_typed = end > 0 and own[end:] == list(typed)  # else a program of its own set sys.argv
+    command = [sys.executable, *(own[:end] if is_typed else _TRAIN), *request.words(typed)]
     log.debug("restart: %s", shlex.join(command))
     os.environ[STARTS] = str(int(os.environ.get(STARTS) or 0) + 1)
     for handler in logging.getLogger().handlers:
@@ -78,12 +74,3 @@ def start_again(request: RestartRequest, typed: Sequence[str]) -> NoReturn:
     sys.stdout.flush()
     sys.stderr.flush()
     os.execv(command[0], command)
-
-
-def _program(typed: Sequence[str]) -> list[str]:
-    """Return what follows the interpreter: its options, and the script or module."""
-    own = sys.orig_argv[1:]
-    end = len(own) - len(typed)
-    if end > 0 and own[end:] == list(typed):
-        return own[:end]
-    return list(_TRAIN)  # a program of its own, which set sys.argv

@@ -27,7 +27,7 @@ import yaml
 from isaacgymenvs_lite.checkpoints.files import plain_numbers, short, write_atomically
 from isaacgymenvs_lite.config.pbt_settings import PBTSettings
 from isaacgymenvs_lite.errors import ConfigError, one_line
-from isaacgymenvs_lite.run.lock import FolderInUseError, FolderLock
+from isaacgymenvs_lite.run.folder import FolderInUseError, FolderLock
 from isaacgymenvs_lite.schema import leaves, read_keys, select, setting
 from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write, check_no_links
 
@@ -91,8 +91,7 @@ class Workspace:
         """Lock the folder of this policy.
 
         Raises:
-            ConfigError: it cannot be written, another process trains this policy, or the workspace
-                has a link below it.
+            ConfigError: it has links or cannot be written, or another process trains this policy.
         """
         check_no_links(self._folder)
         missing = [path for path in (self._own, *self._own.parents) if not path.exists()]
@@ -130,8 +129,7 @@ class Workspace:
             is_new: the policy begins; False: it goes on, and its records are there.
 
         Raises:
-            ConfigError: the workspace is of another experiment or cannot be written; or this policy
-                has been trained in it.
+            ConfigError: the workspace is of another experiment, or this policy was trained in it.
         """
         index = self._settings.policy_idx
         if is_new and (iterations := self._iterations(index)):
@@ -150,11 +148,7 @@ class Workspace:
             raise self._not_writable(error) from error
 
     def _check_experiment(self, file: Path) -> None:
-        """Check that another policy trains the same.
-
-        Raises:
-            ConfigError: it does not, or its file is broken.
-        """
+        """Check that another policy trains the same."""
         own = self._experiment
         try:
             other = _read_yaml(file)
@@ -184,20 +178,13 @@ class Workspace:
     # --- writing ---------------------------------------------------------------------------
 
     def write(self, record: Record, state: dict[str, Any]) -> None:
-        """Write this policy's record and checkpoint, and remove its oldest ones.
-
-        Raises:
-            OSError: they cannot be written.
-        """
+        """Write this policy's record and checkpoint, and remove its oldest ones."""
         self._own.mkdir(parents=True, exist_ok=True)
         index = self._settings.policy_idx
         file = self._file(index, record.iteration)
         checkpoint = file.with_suffix(".pth")
         write_atomically(checkpoint, plain_numbers(state))
-        paths = {
-            "checkpoint": str(checkpoint.absolute()),
-            "pbt_checkpoint": str(file.absolute()),
-        }
+        paths = {"checkpoint": str(checkpoint.absolute()), "pbt_checkpoint": str(file.absolute())}
         self._write_yaml(file, {**asdict(record), **paths})
         for iteration in self._iterations(index)[:-MAX_RECORDS]:
             old = self._file(index, iteration)
@@ -207,13 +194,7 @@ class Workspace:
     def keep_best(self, policy_idx: int, record: Record, task: str) -> None:
         """Copy a policy's checkpoint into this policy's `best` folder if none there is as good.
 
-        Args:
-            policy_idx: the policy.
-            record: its record.
-            task: name of the task, for the name of the file.
-
-        Raises:
-            OSError: it cannot be copied.
+        The name of the task is a part of the file's name.
         """
         folder = self._folder / f"best{self._settings.policy_idx}"
         folder.mkdir(exist_ok=True)
@@ -278,7 +259,7 @@ class Workspace:
         """Return a record.
 
         Raises:
-            FileNotFoundError: there is none any more.
+            FileNotFoundError: it was removed.
             ConfigError: the file is broken.
         """
         content = _read_yaml(file)
@@ -296,12 +277,7 @@ class Workspace:
 
 
 def _read_yaml(file: Path) -> dict[str, Any]:
-    """Return the mapping in a file.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ConfigError: it is broken.
-    """
+    """Return the mapping in a file; errors are those of `_read_record`."""
     try:
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -20,6 +20,7 @@ FACE_COLOUR: Colour = (1.0, 0.8, 0.1)
 ACTUAL_COLOUR: Colour = (0.1, 0.7, 0.2)
 
 _ARROW_WIDTH_M = 0.03
+_OVERLAY_OPACITY = 0.35
 
 
 @dataclass(frozen=True)
@@ -87,3 +88,32 @@ def add_geom(
     mujoco.mjv_initGeom(geom, kind, size, place_w, np.eye(3).ravel(), ink)
     scene.ngeom += 1
     return geom
+
+
+class RobotOverlay:
+    """Adds a translucent robot to a scene, such as the reference motion of an imitation.
+
+    Args:
+        model: of the scene; the robot is the tree of its first joint.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        self._data = mujoco.MjData(model)
+        self._option, self._perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
+
+    def add_to(self, scene: mujoco.MjvScene, qpos: npt.NDArray[np.float64]) -> None:
+        """Add the robot at joint positions `qpos` (nq,) to a scene."""
+        model, data = self._model, self._data
+        root = int(model.jnt_bodyid[0])
+        data.qpos[: len(qpos)] = qpos
+        mujoco.mj_kinematics(model, data)
+        first = scene.ngeom
+        moving = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
+        mujoco.mjv_addGeoms(model, data, self._option, self._perturbation, moving, scene)
+        for index in range(first, scene.ngeom):
+            geom = scene.geoms[index]
+            body = int(model.geom_bodyid[geom.objid])
+            of_robot = int(model.body_rootid[body]) == root
+            geom.rgba[3] = _OVERLAY_OPACITY if of_robot else 0.0
+            geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)

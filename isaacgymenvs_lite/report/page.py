@@ -67,11 +67,7 @@ _NEWEST = {
 
 
 def write_report(run: Path, out: Path | None = None) -> Path:
-    """Write the page of a run and return its path.
-
-    Args:
-        run: folder of the run.
-        out: the file; None = report.html in the folder.
+    """Write the page of a run, by default report.html in its folder, and return its path.
 
     Raises:
         ConfigError: the folder is no run, has no scalars, or the file cannot be written.
@@ -115,12 +111,7 @@ def write_report(run: Path, out: Path | None = None) -> Path:
 
 
 def summarize(config: str, scalars: Mapping[str, Series]) -> dict[str, str]:
-    """Return name -> value, as text, in the order of the page.
-
-    Args:
-        config: text of the run's config.yaml; '' if there is none.
-        scalars: of the run, see `read_scalars`.
-    """
+    """Return name -> value, as text, of config.yaml's text and the scalars, in the page's order."""
     clock = first_of(scalars, FPS_TAGS)
     facts = {"task": "", "algorithm": ""}
     with contextlib.suppress(Exception):  # of a damaged file the page shows the text

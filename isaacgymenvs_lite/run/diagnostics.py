@@ -11,7 +11,7 @@ import math
 import statistics
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,7 +60,7 @@ class Measurement:
         frame: environment steps trained before it.
         pose_error_m: nan if no episode could be measured.
         no_fall_share: 0 to 1.
-        clip_spread_m: see `imitation.clip_spread_m`; about 0 for a clip that does not move.
+        clip_spread_m: see `measurement.clip_spread_m`; about 0 for a clip that does not move.
         motion_shown: 0 to 1.
         tempo: multiple of the clip's.
         fall_moment: where in the clip most falls begin.
@@ -74,6 +74,22 @@ class Measurement:
     tempo: float = math.nan
     fall_moment: FallMoment | None = None
 
+    @property
+    def stays_up(self) -> bool:
+        """Whether most episodes end without a fall."""
+        return self.no_fall_share > MOSTLY_FALLS
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the policy stands where the clips move."""
+        return self.clip_spread_m > MIN_CLIP_SPREAD_M and self.motion_shown < STANDING_SHOWN
+
+    @property
+    def is_hasty(self) -> bool:
+        """Whether the policy takes quick, short steps where the clips move."""
+        is_lost = self.tempo < LOST_TEMPO and self.motion_shown > MOVES_SHOWN
+        return self.clip_spread_m > MIN_CLIP_SPREAD_M and (self.tempo > HASTY_TEMPO or is_lost)
+
 
 class DiagnosticsObserver(AlgoObserver):
     """Logs the warnings, and writes them to TensorBoard as the text `advice`.
@@ -85,12 +101,6 @@ class DiagnosticsObserver(AlgoObserver):
         measurement: the measured pose error, if any.
         max_episode_steps: the task's time limit in control steps.
         clip_limits: the keys of `CLIP_LIMITS` that the task sets.
-
-    Attributes:
-        config: `train.params.config`, for the values that a warning proposes.
-        measurements: so far.
-        implausible: what is implausible in the clips, for users; '' if nothing is known.
-        clip_limits: as given.
     """
 
     def __init__(
@@ -119,40 +129,41 @@ class DiagnosticsObserver(AlgoObserver):
         """Add what is new, and log the warning that is due."""
         if self._metrics.latest is None:
             return
-        self._add_measurement()
+        observer = self._measurement
+        if observer is not None and observer.last is not None and observer.last_frame is not None:
+            result, measured_at = observer.last.imitation, observer.last_frame
+            is_new = not self.measurements or self.measurements[-1].frame != measured_at
+            if is_new and result is not None:
+                self.implausible = observer.implausible
+                values = (result.pose_error_m, result.no_fall_share, observer.clip_spread_m)
+                shown = (result.motion_shown, result.tempo, result.fall_moment)
+                self.measurements.append(Measurement(measured_at, *values, *shown))
         warning = self.next_warning(self._metrics.latest, time.monotonic())
         if warning is not None:
             log.warning("%s", warning)
             self._algo.writer.add_text("advice", warning, frame)
 
-    def _add_measurement(self) -> None:
-        observer = self._measurement
-        if observer is None or observer.last is None or observer.last_frame is None:
-            return
-        result, frame = observer.last.imitation, observer.last_frame
-        is_known = bool(self.measurements) and self.measurements[-1].frame == frame
-        if is_known or result is None:
-            return
-        self.implausible = observer.implausible
-        numbers = (result.pose_error_m, result.no_fall_share, observer.clip_spread_m)
-        shown = (result.motion_shown, result.tempo, result.fall_moment)
-        self.measurements.append(Measurement(frame, *numbers, *shown))
-
     def next_warning(self, epoch: EpochMetrics, now_s: float) -> str | None:
         """Return what is wrong after an epoch and what to do about it, or None.
 
-        Args:
-            epoch: metrics of the next epoch.
-            now_s: time of any clock; a warning is repeated after `REPEAT_S`.
+        A warning is repeated after `REPEAT_S` of any clock.
         """
         window = self._window
         window.append(epoch)
         if self._first_frame is None:
             self._first_frame = epoch.frame
-        while len(window) > 1 and self._is_long_since(window[1]):
+
+        def is_long_since(other: EpochMetrics) -> bool:
+            is_old = epoch.frame - other.frame >= WINDOW_FRAMES
+            return is_old and epoch.epoch - other.epoch >= WINDOW_EPOCHS
+
+        while len(window) > 1 and is_long_since(window[1]):
             window.popleft()
-        if epoch.epoch % CHECK_EPOCHS != 0 or not self._is_long_since(window[0]):
+        if epoch.epoch % CHECK_EPOCHS != 0 or not is_long_since(window[0]):
             return None
+        self._steps = _median(each.episode_steps for each in window)
+        self._early_end_rate = _median(each.early_end_rate for each in window)
+        self._measured = [one for one in self.measurements if math.isfinite(one.pose_error_m)]
         # The first rule that applies is the warning: the later ones may be its consequences.
         for rule in (
             self._no_reward,
@@ -163,19 +174,11 @@ class DiagnosticsObserver(AlgoObserver):
         ):
             warning = rule()
             if warning is not None:
-                last_s = self._warned_s.get(rule.__name__, -math.inf)
-                if now_s - last_s < REPEAT_S:
+                if now_s - self._warned_s.get(rule.__name__, -math.inf) < REPEAT_S:
                     return None
                 self._warned_s[rule.__name__] = now_s
                 return warning
         return None
-
-    def _is_long_since(self, epoch: EpochMetrics) -> bool:
-        newest = self._window[-1]
-        return (
-            newest.frame - epoch.frame >= WINDOW_FRAMES
-            and newest.epoch - epoch.epoch >= WINDOW_EPOCHS
-        )
 
     # --- the rules ---------------------------------------------------------------------------
 
@@ -183,62 +186,55 @@ class DiagnosticsObserver(AlgoObserver):
         if self.config.get("disc_reward_w", 1.0) == 0 or self._policy_learns():
             return None
         scale = float(self.config.get("disc_reward_scale", 1.0)) or 1.0
-        reward = self._median(lambda epoch: epoch.style_reward)
-        measured = self._measured()
-        is_bad = self._early_end_rate() > MOSTLY_FALLS or (
-            bool(measured) and measured[-1].pose_error_m > BAD_POSE_ERROR_M
-        )
-        if not reward / scale < NO_REWARD or not is_bad:
+        reward = _median(epoch.style_reward for epoch in self._window)
+        is_far = bool(self._measured) and self._measured[-1].pose_error_m > BAD_POSE_ERROR_M
+        if not reward / scale < NO_REWARD or not (is_far or self._early_end_rate > MOSTLY_FALLS):
             return None
-        own_rate = self.config.get("disc_learning_rate")
-        rate = "disc_learning_rate" if own_rate else "learning_rate"
+        rate = "disc_learning_rate" if self.config.get("disc_learning_rate") else "learning_rate"
         return (
             f"the style reward has vanished: for {_millions(WINDOW_FRAMES)} frames it was"
-            f" {reward:.3f} a step and episodes did not get longer ({self._steps():.0f} steps), so"
+            f" {reward:.3f} a step and episodes did not get longer ({self._steps:.0f} steps), so"
             " that the policy cannot see what would be better; start again with"
             f" {self._turn('disc_grad_penalty', 2.0)}, {self._turn(rate, 0.5)} or"
             f" {self._turn('amp_minibatch_size', 0.5)}"
         )
 
     def _standing_still(self) -> str | None:
-        newest = self._newest_of_faulty(_is_still)
         # A training that still ends its episodes does not stand.
-        if newest is None or self._early_end_rate() > NEARLY_ALL_FALL:
+        if not self._last_are(lambda one: one.is_still) or self._early_end_rate > NEARLY_ALL_FALL:
             return None
         cut = "cut parts without motion out of the clips"
-        missing = self._missing_limits("clipDeviation", "clipTravel")
-        if missing:
+        if missing := self._missing_limits("clipDeviation", "clipTravel"):
             cut = (
                 f"set {missing}: episodes that stay behind their clip end"
                 f" (with one clip in task.env.motion_file); or {cut}"
             )
         return (
             f"the policy stands still: in the last {LAST_MEASUREMENTS} measurements its episodes"
-            f" seldom ended in a fall, but they show {newest.motion_shown:.0%} of the clips'"
-            f" motion; {cut}{self._clips_are_odd()}"
+            f" seldom ended in a fall, but they show {self._measured[-1].motion_shown:.0%} of the"
+            f" clips' motion; {cut}{self._clips_are_odd()}"
         )
 
     def _in_a_hurry(self) -> str | None:
-        newest = self._newest_of_faulty(_is_hasty)
-        if newest is None:
+        if not self._last_are(lambda one: one.is_hasty):
             return None
+        tempo = self._measured[-1].tempo
         proposed = self._missing_limits("clipDeviation", "clipTempo")
         proposed = proposed or "a smaller task.env.clipDeviation, such as 0.2"
-        seen = "it was faster than its clip" if newest.tempo > 1.0 else "it had no pace of its clip"
+        seen = "it was faster than its clip" if tempo > 1.0 else "it had no pace of its clip"
         return (
             f"the policy is in a hurry: in the last {LAST_MEASUREMENTS} measurements {seen}, now"
-            f" {newest.tempo:.2f} times, as if in quick, short steps; set {proposed}, which ends"
+            f" {tempo:.2f} times, as if in quick, short steps; set {proposed}, which ends"
             " such episodes in training (with one clip in task.env.motion_file)"
         )
 
     def _gets_worse(self) -> str | None:
-        measured = self._measured()
-        earlier, last = measured[:-LAST_MEASUREMENTS], measured[-LAST_MEASUREMENTS:]
-        good = [one for one in earlier if one.no_fall_share > MOSTLY_FALLS and not _is_still(one)]
+        earlier = self._measured[:-LAST_MEASUREMENTS]
+        good = [one for one in earlier if one.stays_up and not one.motion_shown < STANDING_SHOWN]
         best = min(good, key=lambda one: one.pose_error_m, default=None)
         if best is None:
             return None
-        least_m = min(one.pose_error_m for one in last)
+        least_m = min(one.pose_error_m for one in self._measured[-LAST_MEASUREMENTS:])
         if least_m < WORSE_POSE_ERROR * best.pose_error_m:
             return None
         rate = self._turn("learning_rate", 0.5)
@@ -252,28 +248,26 @@ class DiagnosticsObserver(AlgoObserver):
         )
 
     def _falls(self) -> str | None:
-        assert self._first_frame is not None
-        frames = self._window[-1].frame - self._first_frame
+        frames = self._window[-1].frame - (self._first_frame or 0)
         if frames < FALL_FRAMES or self._policy_learns():
             return None
-        last = self._measured()[-LAST_MEASUREMENTS:]
+        last = self._measured[-LAST_MEASUREMENTS:]
         # Exploration may make a good policy fall.
-        stays_up = bool(last) and all(one.no_fall_share > MOSTLY_FALLS for one in last)
-        is_short = self._steps() < SHORT_SHARE * self._max_episode_steps
-        if stays_up or not (is_short and self._early_end_rate() > NEARLY_ALL_FALL):
+        stays_up = bool(last) and all(one.stays_up for one in last)
+        is_short = self._steps < SHORT_SHARE * self._max_episode_steps
+        if stays_up or not (is_short and self._early_end_rate > NEARLY_ALL_FALL):
             return None
-        off_clip = self._median(lambda epoch: epoch.off_clip_rate)
+        off_clip = _median(epoch.off_clip_rate for epoch in self._window)
         end = f"in a fall or off the clip ({off_clip:.0%})" if off_clip > 0.0 else "in a fall"
-        moment = last[-1].fall_moment if last else None
         where = ""
-        if moment is not None:
+        if last and (moment := last[-1].fall_moment) is not None:
             where = (
                 f", {moment.share:.0%} of the falls from {moment.time_s:.1f} s of clip"
                 f" {moment.clip + 1} on"
             )
         return (
             f"after {_millions(frames)} frames of this run episodes still end {end} after"
-            f" {self._steps():.0f} of {self._max_episode_steps} steps{where}; try"
+            f" {self._steps:.0f} of {self._max_episode_steps} steps{where}; try"
             " task.env.adaptiveStarts=0.5, which practises where the policy falls, and make sure"
             " that task.env.contactBodies has every body with which the clip touches the ground"
             f" (null finds them){self._clips_are_odd()}"
@@ -281,21 +275,10 @@ class DiagnosticsObserver(AlgoObserver):
 
     # --- parts of rules --------------------------------------------------------------------
 
-    def _measured(self) -> list[Measurement]:
-        """Return the measurements that have a pose error."""
-        return [one for one in self.measurements if math.isfinite(one.pose_error_m)]
-
-    def _newest_of_faulty(self, is_faulty: Callable[[Measurement], bool]) -> Measurement | None:
-        """Return the newest measurement if the last are of a faulty policy that stays up."""
-        last = self._measured()[-LAST_MEASUREMENTS:]
-        faulty = [
-            one
-            for one in last
-            if one.no_fall_share > MOSTLY_FALLS
-            and one.clip_spread_m > MIN_CLIP_SPREAD_M
-            and is_faulty(one)
-        ]
-        return last[-1] if len(faulty) == LAST_MEASUREMENTS else None
+    def _last_are(self, is_faulty: Callable[[Measurement], bool]) -> bool:
+        """Return whether the last measurements are of a faulty policy that stays up."""
+        faulty = [one for one in self._measured[-LAST_MEASUREMENTS:] if is_faulty(one)]
+        return sum(one.stays_up for one in faulty) == LAST_MEASUREMENTS
 
     def _policy_learns(self) -> bool:
         """Return whether episodes get longer or, where it is measured, the pose error lower."""
@@ -304,20 +287,11 @@ class DiagnosticsObserver(AlgoObserver):
         if _median(lengths[-third:]) >= MIN_GROWTH * _median(lengths[:third]):
             return True
         start = self._window[0].frame
-        before = [one.pose_error_m for one in self._measured() if one.frame <= start]
-        after = [one.pose_error_m for one in self._measured() if one.frame > start]
+        before = [one.pose_error_m for one in self._measured if one.frame <= start]
+        after = [one.pose_error_m for one in self._measured if one.frame > start]
         if not before or not after:
             return bool(before or after)  # nothing to compare with yet
         return min(after) < (1.0 - MIN_IMPROVEMENT) * min(before)
-
-    def _median(self, metric: Callable[[EpochMetrics], float | None]) -> float:
-        return _median([metric(epoch) for epoch in self._window])
-
-    def _early_end_rate(self) -> float:
-        return self._median(lambda epoch: epoch.early_end_rate)
-
-    def _steps(self) -> float:
-        return self._median(lambda epoch: epoch.episode_steps)
 
     def _missing_limits(self, *keys: str) -> str:
         """Return the command line's words for `keys` of `CLIP_LIMITS` that the task leaves at 0."""
@@ -337,18 +311,9 @@ class DiagnosticsObserver(AlgoObserver):
         return f"{name}={factor * value:g} (now {value:g})"
 
 
-def _median(values: list[float | None]) -> float:
+def _median(values: Iterable[float | None]) -> float:
     known = [value for value in values if value is not None]
     return statistics.median(known) if known else math.nan
-
-
-def _is_still(measurement: Measurement) -> bool:
-    return measurement.motion_shown < STANDING_SHOWN
-
-
-def _is_hasty(measurement: Measurement) -> bool:
-    is_lost = measurement.tempo < LOST_TEMPO and measurement.motion_shown > MOVES_SHOWN
-    return measurement.tempo > HASTY_TEMPO or is_lost
 
 
 def _millions(frames: float) -> str:

@@ -20,10 +20,7 @@ _MAX_FILES = 20
 class DivergenceFiles:
     """A listener of a task that writes `<run>/diverged/0001.npz` and so on, at most 20 in a run.
 
-    Args:
-        task: the task; the simulation keeps the recordings until they are written.
-        run_folder: of the run.
-        rank: of this process, part of the names (`0001_rank1.npz`) of all but the main one.
+    Other processes than the main one have their rank in the names: `0001_rank1.npz`.
     """
 
     def __init__(self, task: Any, run_folder: Path, rank: int = 0) -> None:

@@ -2,11 +2,7 @@
 
 tensorboardX passes events to a thread through a queue of ten. When the disk is full the thread
 dies, and then `add_scalar` waits for ever, and so does the end of the process. Here the caller
-writes the events, a failure is logged once, and the events are kept and written later.
-
-Records are framed here and not by tensorboardX's `RecordWriter`: it writes a record in four parts,
-so that a full disk would leave half a record, which ends the file for every reader, and it cannot
-repeat the record.
+writes whole records, a failure is logged once, and the events are kept and written later.
 """
 
 from __future__ import annotations
@@ -37,20 +33,14 @@ _HEADER_BYTES = 100
 
 
 class RetryingEventWriter:
-    """Replaces tensorboardX's `EventFileWriter`; see `install`.
-
-    Args:
-        logdir: folder of the event file; made again if somebody removes it.
-    """
+    """Replaces tensorboardX's `EventFileWriter`; makes its folder again if somebody removes it."""
 
     def __init__(self, logdir: str | os.PathLike[str]) -> None:
         self._logdir = Path(logdir)
         self._waiting = bytearray()
-        self._dropped = 0
         self._failing = False
         self._fd: int | None = None
         self._next_flush = 0.0
-        self.reopen()
 
     def get_logdir(self) -> str:
         """Return the folder of the event file."""
@@ -59,9 +49,7 @@ class RetryingEventWriter:
     def add_event(self, event: Any) -> None:
         """Add an event, which is written within ten seconds, or once the disk has room."""
         if len(self._waiting) < _MAX_WAITING_BYTES:
-            self._waiting += _record(event.SerializeToString())
-        else:
-            self._dropped += 1
+            self._waiting += _record(event)
         if time.monotonic() >= self._next_flush:
             self.flush()
 
@@ -75,29 +63,26 @@ class RetryingEventWriter:
                 _log.warning(
                     "TensorBoard scalars cannot be written to %s (%s); training goes on, "
                     "the scalars are kept until the folder can be written again",
-                    self._logdir,
-                    error.strerror,
+                    *(self._logdir, error.strerror),
                 )
             self._failing = True
         else:
             if self._failing:
-                _log.warning("TensorBoard scalars are written again, %d are lost", self._dropped)
-            self._failing, self._dropped = False, 0
+                _log.warning("TensorBoard scalars are written again")
+            self._failing = False
 
     def close(self) -> None:
         """Flush and close the file; may be called twice."""
         self.flush()
-        self._close_file()
-
-    def reopen(self) -> None:
-        """Close the file; the next flush makes a new one."""
-        self._close_file()
-        version = Event(wall_time=time.time(), file_version="brain.Event:2")
-        self._header = _record(version.SerializeToString())
+        if self._fd is not None:
+            with contextlib.suppress(OSError):
+                os.close(self._fd)
+        self._fd = None
 
     def _write(self) -> None:
         if self._fd is not None and os.fstat(self._fd).st_nlink == 0:
-            self._close_file()  # somebody removed the file: what is written to it is lost
+            os.close(self._fd)  # somebody removed the file: what is written to it is lost
+            self._fd = None
         if not self._waiting:
             return
         if self._fd is None:
@@ -106,7 +91,8 @@ class RetryingEventWriter:
             path = self._logdir / f"events.out.tfevents.{now}.{host}.{os.getpid()}"
             self._fd = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_APPEND, 0o666)
         good = os.fstat(self._fd).st_size
-        data = bytes(self._waiting) if good else self._header + bytes(self._waiting)
+        version = Event(wall_time=time.time(), file_version="brain.Event:2")
+        data = bytes(self._waiting) if good else _record(version) + bytes(self._waiting)
         try:
             written = 0
             while written < len(data):
@@ -118,21 +104,12 @@ class RetryingEventWriter:
             raise
         self._waiting.clear()
 
-    def _close_file(self) -> None:
-        if self._fd is not None:
-            with contextlib.suppress(OSError):
-                os.close(self._fd)
-        self._fd = None
-
 
 def install(writer: Any) -> None:
     """Make a tensorboardX `SummaryWriter` write through a `RetryingEventWriter`.
 
     Call it before the first scalar: the event file of tensorboardX, which holds only a header, is
     closed and removed.
-
-    Args:
-        writer: rl_games' `agent.writer`.
     """
     file_writer = writer.file_writer
     old = file_writer.event_writer
@@ -148,20 +125,16 @@ def install(writer: Any) -> None:
 
 
 def continue_log(writer: Any, frame: int) -> None:
-    """Make readers drop the scalars from `frame` on of a run that was killed and goes on there.
-
-    Args:
-        writer: of the run that goes on; events of the killed one are in the same folder.
-        frame: under which the next scalars are written.
-    """
+    """Make readers drop the scalars from `frame` on of a run that was killed and goes on there."""
     if hasattr(writer, "file_writer"):  # not of the processes that write nothing
         start = SessionLog(status=SessionLog.START)
         event = Event(wall_time=time.time(), step=frame, session_log=start)
         writer.file_writer.event_writer.add_event(event)
 
 
-def _record(data: bytes) -> bytes:
+def _record(event: Any) -> bytes:
     """Frame an event as a TFRecord: length, its checksum, data, its checksum."""
+    data = event.SerializeToString()
     length = struct.pack("<Q", len(data))
     checksums = (struct.pack("<I", masked_crc32c(part)) for part in (length, data))
     return length + next(checksums) + data + next(checksums)

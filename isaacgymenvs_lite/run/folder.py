@@ -3,41 +3,51 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import hashlib
 import itertools
 import logging
 import os
 import re
 import shutil
+import socket
+import stat
+import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.config.run_names import MAX_LEVELS
-from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.run.lock import FolderLock
-from isaacgymenvs_lite.run.rescue import rescue_dir, rescue_dirs
+from isaacgymenvs_lite.errors import ConfigError, one_line
 from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write, check_no_links
+
+try:
+    import fcntl
+except ImportError:  # Windows, where folders are not locked
+    fcntl = None  # type: ignore[assignment]
 
 log = logging.getLogger(__name__)
 
+LOCK_FILE = ".lock"
 _CONFIG_FILE = "config.yaml"
+# What a file system answers that has no locks, as some network mounts.
+_NO_LOCKS = frozenset((errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL))
+_MAX_HOLDER_BYTES = 200
 
 
 class RunFolder:
     """The folder of one training run, which no other run writes into.
 
-    Use it in a `with` statement: the folder is reserved before anything long starts, and removed
-    if a mistake ends the run at once. At the end other runs may write into it.
+    A `with` statement reserves the folder before anything long starts, and removes it if a mistake
+    ends the run at once.
 
     Args:
         train_dir: folder of all runs.
-        run_name: name of this one; rl_games gets the same name and writes into the same folder.
+        run_name: name of this run, final once the folder is reserved; rl_games gets the same name.
         is_exact: False adds a number to the name if such a folder exists.
 
     Attributes:
-        train_dir: folder of all runs.
-        name: of the run; final once the folder is reserved.
         save_failed: whether the last checkpoint could not be written anywhere.
     """
 
@@ -57,12 +67,9 @@ class RunFolder:
 
     @classmethod
     def at(cls, path: Path, train_dir: Path) -> RunFolder:
-        """Return the folder of a run that goes on, at a path, below `train_dir` or elsewhere.
-
-        The path of a rescued run means the run folder that could not be written.
-        """
+        """Return the folder of a run that goes on; a rescued run's path means the real folder."""
         root = train_dir.absolute()
-        for rescued in rescue_dirs(root):
+        for rescued in _rescue_dirs(root):
             if path.is_relative_to(rescued):
                 return cls(root, str(path.relative_to(rescued)))
         if not path.is_relative_to(root):
@@ -82,12 +89,7 @@ class RunFolder:
     # --- reserving -------------------------------------------------------------------------
 
     def __enter__(self) -> RunFolder:
-        """Reserve the folder, and remove files that a killed run left half written.
-
-        Raises:
-            ConfigError: the folder cannot be written, is part of another run, has a link below
-                it, or another run writes into it.
-        """
+        """Reserve the folder, and remove files that a killed run left half written."""
         for folder in self.path.relative_to(self.train_dir).parents:
             if folder.parts and (self.train_dir / folder / _CONFIG_FILE).exists():
                 raise ConfigError(
@@ -95,10 +97,22 @@ class RunFolder:
                     " choose another experiment=NAME"
                 )
         with self._errors_explained():
-            self._make_path()
+            above = list(itertools.takewhile(lambda each: not each.exists(), self.path.parents))
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            for name in _numbered(self.name):  # another run may just have taken the name
+                with contextlib.suppress(FileExistsError):
+                    (self.train_dir / name).mkdir()
+                    self.name = name
+                    self._made = [self.path, *above]
+                if self._made or self._is_exact:
+                    break
             check_no_links(self.path)
             self._lock = FolderLock(self.path)
-            self._remove_partial_files()
+            for folder in [self.path, *(path for path in self.path.iterdir() if path.is_dir())]:
+                for file in folder.iterdir():
+                    if re.fullmatch(PARTIAL_FILE, file.name):
+                        with contextlib.suppress(OSError):
+                            file.unlink()
         return self
 
     def __exit__(self, *exc_info: object) -> None:
@@ -110,34 +124,10 @@ class RunFolder:
         if not self._config:  # reserved, and then a mistake came
             self._remove_made()
 
-    def _make_path(self) -> None:
-        """Make the folder, with a number where another run has just taken the name."""
-        missing = itertools.takewhile(lambda folder: not folder.exists(), self.path.parents)
-        above = list(missing)
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        for name in _numbered(self.name):
-            try:
-                (self.train_dir / name).mkdir()
-            except FileExistsError:
-                if self._is_exact:
-                    break
-            else:
-                self.name = name
-                self._made = [self.path, *above]
-                break
-
     def _remove_made(self) -> None:
         for folder in self._made:
             with contextlib.suppress(OSError):  # another run is in it
                 folder.rmdir()
-
-    def _remove_partial_files(self) -> None:
-        """Remove what a kill left."""
-        for folder in [self.path, *(path for path in self.path.iterdir() if path.is_dir())]:
-            for file in folder.iterdir():
-                if re.fullmatch(PARTIAL_FILE, file.name):
-                    with contextlib.suppress(OSError):
-                        file.unlink()
 
     @contextlib.contextmanager
     def _errors_explained(self) -> Iterator[None]:
@@ -155,16 +145,7 @@ class RunFolder:
     # --- making ----------------------------------------------------------------------------
 
     def create(self, cfg: DictConfig) -> None:
-        """Make the folders and config.yaml: the composed tree, its interpolations unresolved.
-
-        The config.yaml of a run that goes on stays until `begin`.
-
-        Args:
-            cfg: the tree.
-
-        Raises:
-            ConfigError: the folder cannot be written.
-        """
+        """Make the folders, and config.yaml unless a run goes on: that stays until `begin`."""
         self._config = OmegaConf.to_yaml(cfg)
         with self._errors_explained():
             self.checkpoints.mkdir(exist_ok=True)
@@ -181,28 +162,9 @@ class RunFolder:
             reason = error.strerror or error
             log.warning("%s keeps the former settings (%s)", self.path / _CONFIG_FILE, reason)
 
-    def make_again(self) -> None:
-        """Make the folder once more if somebody removed it since `create`, config.yaml included.
-
-        Raises:
-            OSError: it cannot be made.
-        """
-        if self._lock is None:
-            return  # a run of another program
-        if not self.checkpoints.is_dir():
-            self.checkpoints.mkdir(parents=True)
-            log.warning("%s was removed while the run trains: made again", self.path)
-        if not (self.path / _CONFIG_FILE).exists():
-            with contextlib.suppress(OSError):  # the checkpoint is more important
-                self._write_config()
-
     def make_rescue(self) -> Path:
-        """Make the folder that takes this one's place, with config.yaml; return its nn/.
-
-        Raises:
-            OSError: it cannot be made.
-        """
-        folder = rescue_dir(self._real_train_dir) / self.name
+        """Make the folder of the rescued run, with config.yaml; return its nn/."""
+        folder = _rescue_dir(self._real_train_dir) / self.name
         checkpoints = folder / self.checkpoints.name
         checkpoints.mkdir(parents=True, exist_ok=True)
         config = self._config
@@ -228,7 +190,7 @@ class RunFolder:
 
     def files(self, pattern: str) -> list[Path]:
         """Return files of the run by a pattern such as `nn/*.pth`, rescued ones included."""
-        rescued = (folder / self.name for folder in rescue_dirs(self._real_train_dir))
+        rescued = (folder / self.name for folder in _rescue_dirs(self._real_train_dir))
         return [file for place in (self.path, *rescued) for file in place.glob(pattern)]
 
     def newest_checkpoint(self) -> Path | None:
@@ -282,7 +244,7 @@ def run_folders(train_dir: Path) -> Iterator[Path]:
 def runs_below(train_dir: Path) -> list[RunFolder]:
     """Return the runs at any depth below `train_dir`, also those that only a rescue has left."""
     places = (
-        (root, run) for root in (train_dir, *rescue_dirs(train_dir)) for run in run_folders(root)
+        (root, run) for root in (train_dir, *_rescue_dirs(train_dir)) for run in run_folders(root)
     )
     names = dict.fromkeys(str(run.relative_to(root)) for root, run in places)
     return [RunFolder(train_dir, name) for name in names]
@@ -292,3 +254,122 @@ def run_of_checkpoint(checkpoint: str) -> Path | None:
     """Return the run folder that a checkpoint lies in, `<run>/nn/<name>.pth`; None elsewhere."""
     path = Path(checkpoint)
     return path.parent.parent if checkpoint and path.parent.name == "nn" else None
+
+
+# --- locks ----------------------------------------------------------------------------------------
+
+
+class FolderInUseError(ConfigError):
+    """Another run writes into the folder."""
+
+
+class FolderLock:
+    """An exclusive lock on an existing folder, released by `release` or any end of the process.
+
+    The lock is on a file in the folder that holds process and host for messages; a kill may leave
+    the file behind, never the lock. A file system without locks gets one warning.
+
+    Raises:
+        FolderInUseError: another run holds the lock.
+        OSError: the folder cannot be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._file = folder / LOCK_FILE
+        self._fd = self._open()
+        while not self.is_intact():  # the former holder removed the file meanwhile
+            os.close(self._fd)
+            self._fd = self._open()
+        with contextlib.suppress(OSError):  # a full disk: the lock holds without a name
+            os.ftruncate(self._fd, 0)
+            os.write(self._fd, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+
+    def is_intact(self) -> bool:
+        """Return whether the lock still protects the folder: its file was not removed."""
+        try:
+            return os.path.samestat(os.fstat(self._fd), self._file.stat(follow_symlinks=False))
+        except OSError:
+            return False
+
+    def release(self) -> None:
+        """Remove the file and end the lock."""
+        if self.is_intact():  # another run may have its own by now
+            with contextlib.suppress(OSError):
+                self._file.unlink()
+        with contextlib.suppress(OSError):
+            os.close(self._fd)
+
+    def _open(self) -> int:
+        flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
+        fd = os.open(self._file, flags, 0o644)
+        try:
+            if fcntl is None:
+                raise OSError(errno.ENOSYS, "no locks")
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno in _NO_LOCKS:
+                log.warning(
+                    "%s: this file system has no locks; do not start a second run in this folder",
+                    self._folder,
+                )
+                return fd
+            os.close(fd)
+            if error.errno in (errno.EAGAIN, errno.EACCES, errno.EDEADLK):
+                holder = ""
+                with contextlib.suppress(OSError), self._file.open("rb") as file:
+                    holder = one_line(file.read(_MAX_HOLDER_BYTES).decode(errors="replace"))
+                raise FolderInUseError(
+                    f"another run writes into {self._folder} ({holder or 'process unknown'}); wait"
+                    " for its end, or choose another experiment=NAME or +full_experiment_name=NAME"
+                ) from error
+            raise
+        return fd
+
+
+# --- rescued runs -----------------------------------------------------------------------------
+#
+# Checkpoints whose run folder cannot be written go to a private folder of the user below the
+# system's temporary folder. In it every folder of runs has a folder of its own, with run folders as
+# usual: `<run name>/config.yaml` and `<run name>/nn/`.
+
+
+def _rescue_dir(train_dir: Path) -> Path:
+    """Return the folder to which runs below `train_dir` are rescued; make the private folder."""
+    root = _private_root()
+    root.mkdir(mode=0o700, exist_ok=True)
+    if not _is_private(root):
+        raise PermissionError(f"{root} belongs to another user or is open to others")
+    return root / _key(train_dir)
+
+
+def _rescue_dirs(train_dir: Path) -> list[Path]:
+    """Return the folder to which runs below `train_dir` were rescued, if there is one."""
+    try:
+        root = _private_root()
+    except OSError:  # there is no temporary folder
+        return []
+    folder = root / _key(train_dir)
+    return [folder] if _is_private(root) and folder.is_dir() else []
+
+
+def _private_root() -> Path:
+    # Windows has no numeric user IDs; its temporary folder belongs to one user.
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    return Path(tempfile.gettempdir()) / f"isaacgymenvs_lite_rescue-{user}"
+
+
+def _key(train_dir: Path) -> str:
+    """Return a name for a folder of runs that no other folder on this machine has."""
+    path = os.path.realpath(train_dir)
+    return f"{Path(path).name[:40]}-{hashlib.sha256(os.fsencode(path)).hexdigest()[:16]}"
+
+
+def _is_private(folder: Path) -> bool:
+    """Return whether a folder exists, is no link, belongs to this user and is closed to others."""
+    try:
+        status = folder.lstat()
+    except OSError:
+        return False
+    is_open = hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & 0o077)
+    return stat.S_ISDIR(status.st_mode) and not is_open

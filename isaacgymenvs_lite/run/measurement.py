@@ -36,15 +36,14 @@ _NOTABLE = 0.1
 class MeasurementObserver(Stateful, AlgoObserver):
     """Plays the mean policy every so many epochs and writes `imitation/pose_error_m`.
 
-    The errors of a task's goal are written beside it, `goal/velocity_error_m_s` for one. Without
-    reference motions it writes `measured/reward`, and the policy with the highest reward is the
-    run's best checkpoint: rl_games chooses by the last training episodes, which can be many epochs
-    old and end together.
+    It also writes the errors of a task's goal, such as `goal/velocity_error_m_s`. Without reference
+    motions it writes `measured/reward`, and the policy with the highest reward is the run's best
+    checkpoint: rl_games chooses by the last training episodes, which can be many epochs old and end
+    together.
 
     The episodes have their own simulation, so that the training is not disturbed, and a fixed seed,
-    so that they start from the same states each time and numbers compare over time. An evaluation
-    is put off while all of them together would take more than a small share of the training time;
-    the cost is estimated from the ones before.
+    so that they start from the same states each time. An evaluation is put off while all of them
+    together would take more than a small share of the training time.
 
     Args:
         make_env: receives a number of environments and returns the evaluation's task.
@@ -55,9 +54,7 @@ class MeasurementObserver(Stateful, AlgoObserver):
     Attributes:
         last: the newest result, None before the first evaluation.
         last_frame: environment steps trained before it.
-        best_pose_error_m: lowest of all results, None before the first one that has a pose error.
-        best_reward: highest of all results, None before the first one.
-        best_epoch: epoch of `best_reward`.
+        best_pose_error_m: lowest of all results, in m; None before the first pose error.
         clip_spread_m: `clip_spread_m` of the task's clips, nan before the first evaluation.
         implausible: what is implausible in the clips, '' before the first evaluation.
     """
@@ -79,14 +76,11 @@ class MeasurementObserver(Stateful, AlgoObserver):
     ) -> None:
         super().__init__()
         self._make_env = make_env
-        self._frequency = frequency
-        self._num_episodes = num_episodes
+        self._frequency, self._num_episodes = frequency, num_episodes
         self.chooses_best = chooses_best
         self._env: Any = None
         self._spent_s = 0.0
-        self._evaluations = 0
-        self._epochs = 0
-        self._measured_epochs = 0
+        self._evaluations = self._epochs = self._measured_epochs = 0
         self._frame = self._epoch = 0
         self._due = False
         self.last: EvaluationResult | None = None
@@ -162,12 +156,10 @@ class MeasurementObserver(Stateful, AlgoObserver):
                     self.clip_spread_m = clip_spread_m(reference)
                     self.implausible = "; ".join(env.motion_lib.implausible.values())
             torch.manual_seed(self._SEED)
-            return evaluate(self._env, self._policy(), self._num_episodes)
-
-    def _policy(self) -> Callable[[dict[str, Tensor]], Tensor]:
-        if hasattr(self._algo, "mean_policy"):
-            return self._algo.mean_policy(self._env)
-        return self._means_of_rl_games
+            policy = self._means_of_rl_games
+            if hasattr(self._algo, "mean_policy"):
+                policy = self._algo.mean_policy(self._env)
+            return evaluate(self._env, policy, self._num_episodes)
 
     def _means_of_rl_games(self, obs: dict[str, Tensor]) -> Tensor:
         algo = self._algo
@@ -175,19 +167,24 @@ class MeasurementObserver(Stateful, AlgoObserver):
         return algo.preprocess_actions(means)
 
     def _write(self, result: EvaluationResult, frame: int) -> None:
-        writer = self._algo.writer
-        if result.imitation is not None:
-            writer.add_scalar("imitation/episode_steps", result.steps, frame)
-            writer.add_scalar("imitation/pose_error_m", result.imitation.pose_error_m, frame)
-            writer.add_scalar("imitation/no_fall_share", result.imitation.no_fall_share, frame)
-            writer.add_scalar("imitation/tempo", result.imitation.tempo, frame)
-            writer.add_scalar("imitation/motion_shown", result.imitation.motion_shown, frame)
+        measured = result.imitation
+        if measured is not None:
+            scalars = {
+                "imitation/episode_steps": result.steps,
+                "imitation/pose_error_m": measured.pose_error_m,
+                "imitation/no_fall_share": measured.no_fall_share,
+                "imitation/tempo": measured.tempo,
+                "imitation/motion_shown": measured.motion_shown,
+            }
         else:
-            writer.add_scalar("measured/reward", result.reward, frame)
-            writer.add_scalar("measured/episode_steps", result.steps, frame)
-            writer.add_scalar("measured/fall_rate", result.falls, frame)
-        for name, error in result.goal_errors.items():
-            writer.add_scalar(f"goal/{name}", error, frame)
+            scalars = {
+                "measured/reward": result.reward,
+                "measured/episode_steps": result.steps,
+                "measured/fall_rate": result.falls,
+            }
+        scalars |= {f"goal/{name}": error for name, error in result.goal_errors.items()}
+        for tag, value in scalars.items():
+            self._algo.writer.add_scalar(tag, value, frame)
         # rl_games writes scalars under the frames before the epoch.
         trained = self._algo.frame // getattr(self._algo, "num_agents", 1)
         log.info("after %d frames, without exploration noise: %s", trained, result)

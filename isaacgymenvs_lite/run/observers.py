@@ -3,25 +3,68 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
-from isaacgymenvs_lite.config.launch import LaunchSettings
+from isaacgymenvs_lite.config.launch import CheckedConfig
 from isaacgymenvs_lite.distributed.group import current_group
+from isaacgymenvs_lite.errors import SweepError
 from isaacgymenvs_lite.run.diagnostics import CLIP_LIMITS, DiagnosticsObserver
 from isaacgymenvs_lite.run.event_writer import install
 from isaacgymenvs_lite.run.measurement import MeasurementObserver
-from isaacgymenvs_lite.run.metrics import MetricsObserver
-from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective
+from isaacgymenvs_lite.run.metrics import MetricsObserver, TaskScalarsObserver
 from isaacgymenvs_lite.run.progress import ProgressObserver
 from isaacgymenvs_lite.run.stop_request import StopRequest
-from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver
 from isaacgymenvs_lite.utils.state import Stateful
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Objective:
+    """The number that a run returns, by which sweeps compare runs.
+
+    `direction` is `minimize` or `maximize`, in the words of Hydra's sweepers.
+    """
+
+    name: str
+    unit: str
+    direction: str
+
+    def check_direction(self, direction: str, task: str) -> None:
+        """Check before a training that a study optimises this number in the right direction.
+
+        Raises:
+            SweepError: `hydra.sweeper.direction` is the other direction.
+        """
+        if direction and direction != self.direction:
+            raise SweepError(
+                f"hydra.sweeper.direction={direction}: this run of {task} returns its {self.name};"
+                f" set hydra.sweeper.direction={self.direction}"
+            )
+
+    def describe(self, value: float) -> str:
+        """Return a value for users."""
+        return f"{self.name} {value:.4g}{self.unit}"
+
+
+POSE_ERROR = Objective("best pose error", " m", "minimize")
+MEAN_REWARD = Objective("best mean reward", "", "maximize")
+
+
+def objective_of(config: Mapping[str, Any], has_pose_error: bool) -> Objective:
+    """Return what runs are compared by, given `train.params.config`.
+
+    The pose error counts where it is measured and the task's reward does not: `task_reward_w: 0`,
+    as AMP has it. All other trainings learn from the task's reward: PPO, SAC, a hierarchy on a
+    goal.
+    """
+    learns_task = config.get("task_reward_w", 1.0) != 0
+    return POSE_ERROR if has_pose_error and not learns_task else MEAN_REWARD
 
 
 class MultiObserver(Stateful, AlgoObserver):
@@ -42,49 +85,38 @@ class MultiObserver(Stateful, AlgoObserver):
             if isinstance(each, Stateful) and type(each).__name__ in state:
                 each.load_state_dict(state[type(each).__name__])
 
-    def before_init(self, base_name: str, config: dict[str, Any], experiment_name: str) -> None:
-        """Before the agent builds anything."""
+    def _call(self, name: str, *arguments: Any) -> None:
         for observer in self.observers:
-            observer.before_init(base_name, config, experiment_name)
+            # rl_games calls `after_clear_stats`, but its base class lacks it.
+            getattr(observer, name, lambda: None)(*arguments)
+
+    def before_init(self, base_name: str, config: dict[str, Any], experiment_name: str) -> None:
+        """Call the observers before the agent builds anything."""
+        self._call("before_init", base_name, config, experiment_name)
 
     def after_init(self, algo: Any) -> None:
-        """The agent is complete."""
-        for observer in self.observers:
-            observer.after_init(algo)
+        """Call the observers when the agent is complete."""
+        self._call("after_init", algo)
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
-        """After each environment step."""
-        for observer in self.observers:
-            observer.process_infos(infos, done_indices)
+        """Call the observers after each environment step."""
+        self._call("process_infos", infos, done_indices)
 
     def after_steps(self) -> None:
-        """After each rollout."""
-        for observer in self.observers:
-            observer.after_steps()
+        """Call the observers after each rollout."""
+        self._call("after_steps")
 
     def after_clear_stats(self) -> None:
-        """The agent's meters were cleared."""
-        for observer in self.observers:
-            # rl_games calls it on the outermost observer, but its base class lacks it.
-            getattr(observer, "after_clear_stats", lambda: None)()
+        """Call the observers when the agent's meters were cleared."""
+        self._call("after_clear_stats")
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        """After each epoch."""
-        for observer in self.observers:
-            observer.after_print_stats(frame, epoch_num, total_time)
+        """Call the observers after each epoch."""
+        self._call("after_print_stats", frame, epoch_num, total_time)
 
 
 class TrainingObservers(MultiObserver):
     """All observers of a training: what it shows, and what it writes besides checkpoints.
-
-    Args:
-        tree: the resolved tree.
-        settings: its root.
-        run_name: name of the run folder.
-        measurement: plays the mean policy now and then; None: never.
-        max_episode_steps: the task's time limit in control steps.
-        stop: the user's request to end the training.
-        population: compares the policy with others, if there are any.
 
     Attributes:
         agent: the agent that rl_games' Runner makes and does not return; None before.
@@ -93,8 +125,7 @@ class TrainingObservers(MultiObserver):
 
     def __init__(
         self,
-        tree: dict[str, Any],
-        settings: LaunchSettings,
+        config: CheckedConfig,
         run_name: str,
         measurement: MeasurementObserver | None,
         max_episode_steps: int,
@@ -106,17 +137,18 @@ class TrainingObservers(MultiObserver):
         self.agent: Any = None
         self.begin: Callable[[], None] | None = None
         self._stop = stop
-        self._progress = ProgressObserver(stop, metrics, measurement, settings.progress_interval)
+        interval_s = config.settings.progress_interval
+        self._progress = ProgressObserver(stop, metrics, measurement, interval_s)
         self._wandb = None
         observers: list[AlgoObserver] = [TaskScalarsObserver()]
-        if settings.wandb_activate:
+        if config.settings.wandb_activate:
             from isaacgymenvs_lite.run.wandb_observer import WandbObserver
 
-            self._wandb = WandbObserver(tree, settings, run_name)
+            self._wandb = WandbObserver(config.tree, config.settings, run_name)
             observers.append(self._wandb)
         if measurement is not None:
             observers.append(measurement)
-        clip_limits = [key for key in CLIP_LIMITS if tree["task"]["env"].get(key)]
+        clip_limits = [key for key in CLIP_LIMITS if config.tree["task"]["env"].get(key)]
         diagnostics = DiagnosticsObserver(metrics, measurement, max_episode_steps, clip_limits)
         observers += [metrics, self._progress, diagnostics]
         if not current_group().is_main:  # what they show and write is about all processes
@@ -146,21 +178,17 @@ class TrainingObservers(MultiObserver):
                 log.warning("%s", worsened)
 
     def best(self, objective: Objective) -> float | None:
-        """Return the best number of the run; None if nothing could be measured."""
-        measured = self._measurement
+        """Log and return the best number of the run; None if nothing could be measured."""
+        measured, how = self._measurement, ""
+        best = self._metrics.best_reward
         if objective is POSE_ERROR:
-            return None if measured is None else measured.best_pose_error_m
-        if measured is not None and measured.chooses_best and measured.best_reward is not None:
-            return measured.best_reward
-        return self._metrics.best_reward
-
-    @property
-    def how_best_was_measured(self) -> str:
-        """How the best number was measured; '' if in training episodes."""
-        measured = self._measurement
-        if measured is None or not measured.chooses_best:
-            return ""
-        return f" after epoch {measured.best_epoch}, without exploration noise"
+            best = None if measured is None else measured.best_pose_error_m
+        elif measured is not None and measured.chooses_best and measured.best_reward is not None:
+            best = measured.best_reward
+            how = f" after epoch {measured.best_epoch}, without exploration noise"
+        if best is not None:
+            log.info("%s%s", objective.describe(best), how)
+        return best
 
     @property
     def chooses_best(self) -> bool:

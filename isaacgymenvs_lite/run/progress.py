@@ -28,13 +28,8 @@ _BAR_FORMAT = "{percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{remaining}{postfi
 class ProgressObserver(AlgoObserver):
     """Shows a progress bar on a terminal, a line every few seconds elsewhere; stops at Ctrl-C.
 
-    Without a terminal the first and the last epoch always get a line.
-
-    Args:
-        stop: the user's request; the epoch in which it arrives becomes the last one.
-        metrics: what is shown; it must come before this observer.
-        imitation: its newest pose error and tempo are shown, if there is one.
-        line_interval_s: seconds between lines where the output is no terminal.
+    Without a terminal the first and the last epoch always get a line. The epoch in which the user
+    requests the end becomes the last one.
     """
 
     def __init__(
@@ -74,9 +69,24 @@ class ProgressObserver(AlgoObserver):
             self._first_epoch = epoch_num
         if not self._has_estimated and now - self._start_s >= _ESTIMATE_AFTER_S:
             self._has_estimated = True
-            self._estimate(epoch_num, now)
+            if (left := self._left_s(epoch_num, now)) is not None:
+                minutes = f"{left / 60:.0f} minutes" if left >= 120 else f"{left:.0f} seconds"
+                log.info(
+                    "%d more epochs take about %s on this machine, at %s frames/s; Ctrl-C ends the"
+                    " training with a checkpoint",
+                    *(self._total - epoch_num, minutes, self._fps()),
+                )
         if sys.stderr.isatty():
-            self._update_bar(epoch_num)
+            if self._bar is None:
+                total = algo.max_epochs if algo.max_epochs > 0 else None
+                first = epoch_num - 1
+                self._bar = tqdm(
+                    total=total, initial=first, dynamic_ncols=True, bar_format=_BAR_FORMAT
+                )
+            # tqdm cuts off at the width of the terminal, so the least important comes last.
+            shown = {**self._measured_values(), **self._epoch_values(), "fps": self._fps()}
+            self._bar.set_postfix(shown, refresh=False)
+            self._bar.update(epoch_num - self._bar.n)
             self._first_line = False
         elif self._first_line or now - self._last_line_s >= self._line_interval_s:
             self._write_line(epoch_num, now)
@@ -85,17 +95,6 @@ class ProgressObserver(AlgoObserver):
         if self._stop.requested:
             # rl_games saves a last checkpoint when it ends at max_epochs.
             algo.max_epochs = epoch_num
-
-    def _estimate(self, epoch_num: int, now: float) -> None:
-        """Log how long the training will take on this machine."""
-        if (left := self._left_s(epoch_num, now)) is not None:
-            epochs = self._total - epoch_num
-            minutes = f"{left / 60:.0f} minutes" if left >= 120 else f"{left:.0f} seconds"
-            log.info(
-                "%d more epochs take about %s on this machine, at %s frames/s; Ctrl-C ends the"
-                " training with a checkpoint",
-                *(epochs, minutes, self._fps()),
-            )
 
     def _left_s(self, epoch_num: int, now: float) -> float | None:
         """Return the time that the remaining epochs take; None without a last epoch."""
@@ -145,16 +144,6 @@ class ProgressObserver(AlgoObserver):
     def _fps(self) -> str:
         return f"{self._frames_per_s.mean.item():,.0f}"
 
-    def _update_bar(self, epoch_num: int) -> None:
-        if self._bar is None:
-            total = self._algo.max_epochs if self._algo.max_epochs > 0 else None
-            first = epoch_num - 1
-            self._bar = tqdm(total=total, initial=first, dynamic_ncols=True, bar_format=_BAR_FORMAT)
-        # tqdm cuts off at the width of the terminal, so the least important comes last.
-        shown = {**self._measured_values(), **self._epoch_values(), "fps": self._fps()}
-        self._bar.set_postfix(shown, refresh=False)
-        self._bar.update(epoch_num - self._bar.n)
-
     def _write_line(self, epoch_num: int, now: float, has_ended: bool = False) -> None:
         self._first_line = False
         self._unwritten_epoch = None
@@ -162,7 +151,8 @@ class ProgressObserver(AlgoObserver):
         total = self._total
         parts = [f"epoch {epoch_num}/{total}" if total > 0 else f"epoch {epoch_num}"]
         if total > 0 and not has_ended:
-            parts.append(f"ETA {_clock(self._left_s(epoch_num, now) or 0.0)}")
+            minutes, seconds = divmod(int(self._left_s(epoch_num, now) or 0.0), 60)
+            parts.append(f"ETA {minutes // 60}:{minutes % 60:02d}:{seconds:02d}")
         shown = {"fps": self._fps(), **self._epoch_values(), **self._measured_values()}
         parts += [f"{name} {value}" for name, value in shown.items()]
         log.info("%s", ", ".join(parts))
@@ -173,9 +163,3 @@ class ProgressObserver(AlgoObserver):
             self._bar.close()
         if self._unwritten_epoch is not None:
             self._write_line(self._unwritten_epoch, self._last_epoch_s, has_ended=True)
-
-
-def _clock(seconds: float) -> str:
-    minutes, secs = divmod(int(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{secs:02d}"

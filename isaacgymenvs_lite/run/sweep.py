@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import logging
+import math
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
@@ -18,7 +19,6 @@ from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.experimental.callback import Callback
-from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from isaacgymenvs_lite.errors import ConfigError, SweepError, UserError, one_line
@@ -26,26 +26,12 @@ from isaacgymenvs_lite.errors import ConfigError, SweepError, UserError, one_lin
 log = logging.getLogger(__name__)
 
 _FILE = "jobs.csv"
-# What a failed job returns: the worst number, so that a sweeper goes on.
-_WORST = {"maximize": -float("inf")}
 # Whether the user has ended the sweep, in a process that runs jobs.
 _ended_here = False
 
 
-def is_sweep() -> bool:
-    """Return whether the running job of Hydra is one of a sweep."""
-    return HydraConfig.get().mode == RunMode.MULTIRUN
-
-
 def check_words(words: Sequence[str]) -> None:
-    """Refuse settings with which the jobs of a sweep would get into each other's way.
-
-    Args:
-        words: of the command line.
-
-    Raises:
-        ConfigError: such a setting is among them.
-    """
+    """Refuse the words of a sweep whose jobs would get into each other's way."""
     if not any(word in ("-m", "--multirun") or word.startswith("+study=") for word in words):
         return
     typed = {word.partition("=")[0].lstrip("+"): word.partition("=")[2] for word in words}
@@ -68,7 +54,7 @@ def check_words(words: Sequence[str]) -> None:
 
 
 def run_job(run: Callable[..., float | None], parent: int) -> float | None:
-    """Run the current job of a sweep.
+    """Run the current job of a sweep, and add a line about it to the sweep's file.
 
     Args:
         run: receives `stop` and `direction`, and trains or plays as `runner.run` does.
@@ -106,20 +92,15 @@ def run_job(run: Callable[..., float | None], parent: int) -> float | None:
         failure = failure or "ended by the user"
     elif number is None and direction:
         failure = failure or "nothing to compare: no episode has ended; raise max_iterations"
-    _write_line(number, failure)
-    return _WORST.get(direction, float("inf")) if failure else number
-
-
-def _write_line(number: float | None, failure: str) -> None:
-    """Add the current job to the sweep's file, and log how it has ended."""
     job = HydraConfig.get()
-    words = " ".join(job.overrides.task)
+    written = "" if number is None else f"{number:.6g}"
     with Path(job.sweep.dir, _FILE).open("a", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerow(
-            [job.job.num, words, "" if number is None else f"{number:.6g}", failure]
-        )
+        csv.writer(file).writerow([job.job.num, " ".join(job.overrides.task), written, failure])
     if failure:
         log.error("job #%d: %s", job.job.num, failure)
+    # A sweeper goes on after the worst number.
+    worst = -math.inf if direction == "maximize" else math.inf
+    return worst if failure else number
 
 
 class Summary(Callback):
@@ -154,9 +135,6 @@ def waiting_for_jobs() -> Iterator[None]:
     """Let the first Ctrl-C wait for jobs in other processes, which end after their epochs.
 
     A terminal sends Ctrl-C to all processes. The second one ends all of them at once.
-
-    Raises:
-        KeyboardInterrupt: after the jobs, or at the second Ctrl-C.
     """
     pressed = False
 

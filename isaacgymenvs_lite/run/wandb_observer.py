@@ -20,13 +20,8 @@ _ATTEMPTS = 3
 class WandbObserver(AlgoObserver):
     """Opens a run before the agent makes its TensorBoard writer, which wandb then mirrors.
 
-    A failure (no network, no login) is logged, and the training goes on without wandb.
-
-    Args:
-        tree: the resolved tree, which is stored with the run.
-        settings: the keys wandb_project, _entity, _group, _name, _tags, _logcode_dir.
-        run_name: name of the run folder, and of the run unless `wandb_name` differs from the train
-            file's name.
+    A failure (no network, no login) is logged, and the training goes on without wandb. The run is
+    called as the run folder unless `wandb_name` differs from the train file's name.
     """
 
     def __init__(self, tree: dict[str, Any], settings: LaunchSettings, run_name: str) -> None:
@@ -59,22 +54,20 @@ class WandbObserver(AlgoObserver):
             log.warning("wandb: the run could not be finished: %s", error)
         self._run = None
 
-    def _display_name(self) -> str:
-        given = self._settings.wandb_name
-        default = select(self._tree, "train.params.config.name")
-        return given if given and given != default else self._run_name
-
     def _open(self) -> None:
         import wandb  # type: ignore[import-not-found]  # the extra [wandb]
 
         settings = self._settings
+        name = settings.wandb_name
+        if name in ("", select(self._tree, "train.params.config.name")):
+            name = self._run_name
         self._run = wandb.init(
             project=settings.wandb_project,
             entity=settings.wandb_entity or None,
             group=settings.wandb_group or None,
             tags=settings.wandb_tags,
             id=f"uid_{self._run_name}".replace("/", "_"),
-            name=self._display_name(),
+            name=name,
             resume="allow",
             sync_tensorboard=True,
             config=self._tree,

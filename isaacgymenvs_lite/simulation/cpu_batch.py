@@ -28,6 +28,7 @@ from isaacgymenvs_lite.simulation.state_buffers import (
     StateBuffers,
     StateConverter,
     as_tensor,
+    transpose_into,
 )
 from isaacgymenvs_lite.utils.kinematics import Floats
 from isaacgymenvs_lite.utils.threads import thread_count
@@ -40,7 +41,6 @@ _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.m
 # A joint faster than this (rad/s or m/s) means that the simulation diverges;
 # PhysX stopped such bodies at 100 rad/s.
 MAX_SPEED = 1000.0
-_ROWS_IN_CACHE = 128
 # Waking a thread takes some 10 us, and 100 us on a busy machine: less work is not worth one.
 _WORK_PER_THREAD_S = 50e-6
 _TIMED_STEPS = 5
@@ -95,7 +95,10 @@ class CpuBatchSimulation:
     def _bind_views(self, batch: Batch) -> None:
         self._state_rows = batch.state
         self._default_state = batch.state[0].copy()
-        self._history = StepHistory(self._state_rows)
+        # Time, qpos, qvel, activations, warm start and controls come first in a state.
+        until_controls = 2 * int(mujoco.mjtState.mjSTATE_CTRL) - 1
+        num_changing = mujoco.mj_stateSize(self.model, until_controls)
+        self._history = StepHistory(self._state_rows, num_changing)
         self._qpos_rows = batch.bind("qpos")
         self._qvel_rows = batch.bind("qvel")
         self._object_qpos, self._object_qvel = self._converter.of_objects(
@@ -211,11 +214,7 @@ class CpuBatchSimulation:
     def _measured(self, rows: np.ndarray) -> Tensor:
         """Return rows (N, k) of the last physics step as a tensor (N, k), component-major."""
         columns = np.empty(rows.T.shape, dtype=np.float32)
-        # A component is one number of each of the batch's rows, far from the next one: of a block
-        # of rows they stay in the cache from one component to the next.
-        for first in range(0, self.num_envs, _ROWS_IN_CACHE):
-            block = slice(first, first + _ROWS_IN_CACHE)
-            columns[:, block] = rows[block].T
+        transpose_into(columns, rows)
         if self._written.any():
             columns[:, self._written] = 0.0
         return as_tensor(columns)
@@ -367,7 +366,7 @@ class CpuBatchSimulation:
         self._converter.fill(self._buffers, self._qpos_rows, self._qvel_rows)
         for forces, rows in self._contacts:
             # The sensor reports the force that the body exerts; tasks want the force on it.
-            forces[:] = rows.T
+            transpose_into(forces, rows)
             np.negative(forces, out=forces)
 
     def _refresh_rows(self, rows: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:

@@ -53,12 +53,15 @@ class Recording:
 class StepHistory:
     """Keeps the states of N simulations before each of their last control steps.
 
-    `rows` (N, S) are their current states, a view that the simulation writes to.
+    `rows` (N, S) are their current states, a view that the simulation writes to, of which the first
+    `num_changing` values change. The others keep the values that the first simulation has now: most
+    of a state are applied forces, which nothing here uses.
     """
 
-    def __init__(self, rows: Doubles) -> None:
-        self._rows = rows
-        self._ring = np.empty((_STEPS, *rows.shape))
+    def __init__(self, rows: Doubles, num_changing: int) -> None:
+        self._rows = rows[:, :num_changing]
+        self._others = rows[0, num_changing:].copy()
+        self._ring = np.empty((_STEPS, *self._rows.shape))
         self._added = 0
         self._started = np.zeros(len(rows), dtype=np.int64)
 
@@ -79,7 +82,9 @@ class StepHistory:
     def states(self, env_id: int) -> Doubles:
         """Return a copy of the states (K, S) of a simulation since its last start, oldest first."""
         first = max(int(self._started[env_id]), self._added - _STEPS)
-        return np.array([self._ring[i % _STEPS, env_id] for i in range(first, self._added)])
+        steps = [i % _STEPS for i in range(first, self._added)]
+        others = np.broadcast_to(self._others, (len(steps), len(self._others)))
+        return np.concatenate((self._ring[steps, env_id], others), axis=1)
 
 
 def model_identity(model: mujoco.MjModel) -> str:

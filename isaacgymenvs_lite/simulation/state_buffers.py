@@ -26,6 +26,7 @@ Doubles = npt.NDArray[np.float64]
 STATE_SIZE = 13
 QPOS_SIZE = 7
 QVEL_SIZE = 6
+_ROWS_IN_CACHE = 256
 # Where in qpos position and rotation xyzw of a state are.
 _QPOS_ROWS = np.append(np.arange(3), xyzw_from_wxyz(torch.arange(3, 7)).numpy())
 
@@ -108,6 +109,17 @@ def _replace_columns(mine: Floats, columns: npt.NDArray[np.integer], theirs: Flo
     torch.from_numpy(mine).index_copy_(mine.ndim - 1, ids, torch.from_numpy(theirs))
 
 
+def transpose_into(columns: Floats, rows: Doubles) -> None:
+    """Copy rows (n, ...) into columns (..., n).
+
+    A component is one number of each row, far from the next one: of a block of rows they stay in
+    the cache from one component to the next.
+    """
+    for first in range(0, len(rows), _ROWS_IN_CACHE):
+        block = slice(first, first + _ROWS_IN_CACHE)
+        columns[..., block] = rows[block].T
+
+
 def as_tensor(buffer: Floats) -> Tensor:
     """Return a buffer (d, n) or (d, B, n) as a tensor (n, d) or (n, B, d) on the same memory."""
     return torch.from_numpy(buffer.T)
@@ -119,6 +131,10 @@ class StateConverter:
     def __init__(self, model: mujoco.MjModel, layout: ModelLayout) -> None:
         self._layout = layout
         self._kinematics = Kinematics(model, len(layout.body_names))
+        self._num_qpos = layout.num_qpos
+        self._num_qvel = layout.num_qvel
+        # Only a free root has velocities in qvel.
+        self._first_velocity = QVEL_SIZE - layout.dof_vel_adr
         self._ball_qpos = layout.ball_qpos.T
         self._ball_dofs = layout.ball_dofs.T
         self._objects_qpos0 = model.qpos0[layout.num_qpos :].copy()
@@ -129,10 +145,10 @@ class StateConverter:
         layout = self._layout
         buffers.bodies_are_current = buffers.has_body_velocities = False
         qpos = buffers.qpos
-        qpos[:] = qpos_rows.T[: layout.num_qpos]
-        buffers.dof_vel[:] = qvel_rows.T[layout.dof_vel_adr : layout.num_qvel]
+        transpose_into(qpos, qpos_rows[:, : self._num_qpos])
+        transpose_into(buffers.velocities[self._first_velocity :], qvel_rows[:, : self._num_qvel])
         if layout.has_free_root:
-            fill_free_states(buffers.root_states, qpos[:7], qvel_rows.T[:6])
+            fill_free_states(buffers.root_states, qpos[:7], buffers.root_states[7:])
         buffers.dof_pos[layout.scalar_dofs] = qpos[layout.scalar_qpos]
         if self._ball_qpos.size > 0:
             quats = torch.from_numpy(qpos[self._ball_qpos]).permute(2, 1, 0)
@@ -152,8 +168,7 @@ class StateConverter:
     def fill_body_velocities(self, buffers: StateBuffers) -> None:
         """Fill in the velocities of the bodies, after `fill_bodies`."""
         buffers.has_body_velocities = True
-        # Only a free root has velocities in qvel.
-        qvel = buffers.velocities[QVEL_SIZE - self._layout.dof_vel_adr :]
+        qvel = buffers.velocities[self._first_velocity :]
         poses = buffers.body_pos, buffers.body_rot
         velocities = buffers.body_lin_vel, buffers.body_ang_vel
         self._kinematics.velocities(buffers.qpos, qvel, *poses, *velocities)
@@ -211,7 +226,7 @@ class StateConverter:
         return qpos.T, qvel.T
 
 
-def fill_free_states(states: Floats, qpos: Floats | Doubles, qvel: Doubles) -> None:
+def fill_free_states(states: Floats, qpos: Floats | Doubles, qvel: Floats | Doubles) -> None:
     """Compute states (13, ..., n) from coordinates (7, ..., n), (6, ..., n) of free joints."""
     states[:7] = qpos[_QPOS_ROWS]
     states[7:] = qvel

@@ -98,11 +98,7 @@ def compute_ant_reward(
 
 
 class Ant(LocomotionTask):
-    """N ants: 60 observations, 8 joint torques. Keys: `LocomotionConfig`.
-
-    Raises:
-        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
-    """
+    """N ants: 60 observations, 8 joint torques. Keys: `LocomotionConfig`."""
 
     settings_class = LocomotionConfig
     default_asset = "mjcf/ant.xml"

@@ -103,11 +103,7 @@ def compute_anymal_reward(
 
 
 class Anymal(VelocityTrackingTask):
-    """N robots: 48 observations, 12 joint positions. Keys: `AnymalConfig`.
-
-    Raises:
-        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
-    """
+    """N robots: 48 observations, 12 joint positions. Keys: `AnymalConfig`."""
 
     settings_class = AnymalConfig
     default_asset = "mjcf/anymal.xml"

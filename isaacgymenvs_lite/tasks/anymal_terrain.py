@@ -29,9 +29,9 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.tasks.anymal_terrain_config import AnymalTerrainConfig
 from isaacgymenvs_lite.tasks.anymal_terrain_terms import (
     TERM_NAMES,
+    AnymalTerrainConfig,
     WalkStep,
     compute_air_time,
     compute_anymal_terrain_observations,
@@ -41,7 +41,7 @@ from isaacgymenvs_lite.tasks.anymal_terrain_terms import (
 from isaacgymenvs_lite.tasks.base.pushes import push_interval, set_planar_velocities
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
-from isaacgymenvs_lite.tasks.base.vec_task import Done, ResetMode
+from isaacgymenvs_lite.tasks.base.vec_task import Done
 from isaacgymenvs_lite.tasks.base.velocity_tracking import (
     CONTACT_THRESHOLD_N,
     VelocityTrackingTask,
@@ -77,9 +77,6 @@ class AnymalTerrain(VelocityTrackingTask):
         curriculum: on which tile each robot walks.
         commands: (N, 4) velocity along x and y of the base (m/s), yaw rate (rad/s), and the heading
             (rad) that the yaw rate leads to.
-
-    Raises:
-        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
     """
 
     settings_class = AnymalTerrainConfig
@@ -89,7 +86,6 @@ class AnymalTerrain(VelocityTrackingTask):
     num_observations = 188
     num_actions = 12
     num_commands = 4
-    reset_mode = ResetMode.SAME_STEP
 
     # --- construction -----------------------------------------------------------------------
 
@@ -160,14 +156,39 @@ class AnymalTerrain(VelocityTrackingTask):
         self.air_time_s = torch.zeros(len(self._foot_ids), n, device=device)
         self._reward_sums = torch.zeros(len(TERM_NAMES), n, device=device)
         self._episode: dict[str, Tensor] = {}
+        self._final_observations: dict[str, Tensor] = {}
 
     # --- step -------------------------------------------------------------------------------
 
     def pre_physics_step(self, actions: Tensor) -> None:
         """Set the joint positions of actions (N, 12) that the drives aim at."""
+        self._start_episodes()  # those that nobody started by `reset`
         self.last_actions = self.actions
         self._last_dof_vel.copy_(self.simulation.dof_vel.t())
         super().pre_physics_step(actions)
+
+    def post_physics_step(self) -> None:
+        """As the base, but episodes start in the step that ends the ones before, as published.
+
+        They start after the reward and before the observation.
+        """
+        self.extras.clear()
+        self.progress_buf += 1
+        self.randomize_buf += 1
+        self.update_state()
+        self.compute_reset()
+        self.compute_reward()
+        if self.keeps_final_observations and self.reset_buf.any():
+            self.compute_observations()
+            self._final_observations = self._observations()
+            if self._discarded is not None:
+                self._repeat_observations(self._final_observations)
+        self._start_episodes()
+        self.compute_observations()
+
+    def final_observations(self) -> dict[str, Tensor]:
+        """See `VecTask.final_observations`."""
+        return self._final_observations
 
     def update_state(self) -> None:
         """Read the contacts, push the robots when it is due, and update the yaw commands."""
@@ -183,13 +204,9 @@ class AnymalTerrain(VelocityTrackingTask):
         self._episode = {}
         if self.env_cfg.learn.push_robots and (self.control_steps + 1) % self.push_interval == 0:
             # After the forces were read, which a new state is without.
-            self._push()
+            velocities_w = uniform(self.reset_buf, -_PUSH_M_S, _PUSH_M_S, (2,))
+            set_planar_velocities(sim, velocities_w)
         self._steer()
-
-    def _push(self) -> None:
-        """Give the bases another velocity over the ground, in place of the one they have."""
-        velocities_w = uniform(self.reset_buf, -_PUSH_M_S, _PUSH_M_S, (2,))
-        set_planar_velocities(self.simulation, velocities_w)
 
     def _steer(self) -> None:
         """Command the yaw rates that lead to the commanded headings."""

@@ -25,7 +25,6 @@ from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.task_config import TaskConfig
-from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 from isaacgymenvs_lite.tasks.base.wrenches import measure_wrenches, torques_about
 
 _DRIVEN_JOINTS = ("lower_leg_joint0", "lower_leg_joint1", "lower_leg_joint2")
@@ -122,9 +121,6 @@ class BallBalance(MjcfTask):
 
     Attributes:
         targets: (N, 3) position targets (rad), which stay from step to step.
-
-    Raises:
-        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
     """
 
     settings_class = BallBalanceConfig
@@ -132,7 +128,7 @@ class BallBalance(MjcfTask):
     actor_name = "bbot"
     num_observations = 24
     num_actions = 3
-    reset_mode = ResetMode.BEFORE_PHYSICS
+    starts_before_physics = True
     zero_action_at_reset = True
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:

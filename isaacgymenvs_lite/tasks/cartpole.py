@@ -69,11 +69,7 @@ def compute_cartpole_failures(pole_angle: Tensor, cart_pos: Tensor, reset_dist: 
 
 
 class Cartpole(MjcfTask):
-    """N cart-poles: 4 observations, 1 action. Keys: `CartpoleConfig`.
-
-    Raises:
-        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
-    """
+    """N cart-poles: 4 observations, 1 action. Keys: `CartpoleConfig`."""
 
     settings_class = CartpoleConfig
     default_asset = "mjcf/cartpole.xml"

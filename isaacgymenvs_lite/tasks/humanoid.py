@@ -136,9 +136,6 @@ class Humanoid(LocomotionTask):
 
     Attributes:
         motor_effort_ratio: (21,) see `compute_humanoid_reward`.
-
-    Raises:
-        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
     """
 
     settings_class = HumanoidConfig

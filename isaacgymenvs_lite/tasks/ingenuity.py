@@ -78,9 +78,6 @@ class Ingenuity(HoverTask):
 
     Attributes:
         target_pos: (N, 3) m; it changes with each episode, and every 500 steps of it.
-
-    Raises:
-        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
     """
 
     settings_class = IngenuityConfig

@@ -56,9 +56,6 @@ class Quadcopter(HoverTask):
     Attributes:
         targets: (N, 8) position targets of the hinges (rad), which stay from step to step.
         thrusts: (N, 4) N, along the rotors' own z axes, which stay from step to step.
-
-    Raises:
-        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
     """
 
     settings_class = QuadcopterConfig

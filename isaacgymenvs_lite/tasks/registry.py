@@ -6,7 +6,7 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from typing import cast
 
-from isaacgymenvs_lite.config.published_names import missing_task
+from isaacgymenvs_lite.config.compose import missing_task
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.gymnasium_ids import ENTRY_POINTS, register_task_id
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask

@@ -15,9 +15,9 @@ import numpy.typing as npt
 import torch
 
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.rendering.markers import RobotOverlay
 from isaacgymenvs_lite.rendering.scene import Track
 from isaacgymenvs_lite.rendering.tracks import TrackMaker
-from isaacgymenvs_lite.viewers.robot_overlay import RobotOverlay
 
 Pose = npt.NDArray[np.float64]
 
@@ -30,14 +30,10 @@ _OFFSET_M = (0.0, 1.0)
 
 
 def reference_track(env: Any, like: Track) -> Track:
-    """Return the reference clip of a task, as long as `like` and from the same phase on.
+    """Return the reference clip of a task, as long as `like` (T, nq) and from the same phase on.
 
     Clip and phase are those whose joints are nearest to the first steps of `like`. At its end the
     clip starts again, at the place that its root has reached.
-
-    Args:
-        env: a task with a motion library.
-        like: (T, nq), a track of the task.
     """
     clips = ReferenceClips(env)
     motion_id, first = clips.phase(like)
@@ -45,23 +41,18 @@ def reference_track(env: Any, like: Track) -> Track:
 
 
 class ReferenceClips:
-    """Finds phases in the reference clips of a task, and returns the clips as tracks.
-
-    Args:
-        env: a task with a motion library.
-    """
+    """Finds phases in the reference clips of a task, and returns the clips as tracks."""
 
     def __init__(self, env: Any) -> None:
         self._motion_lib: MotionLib = env.motion_lib
         self._dt_s = float(env.dt)
         self._maker = TrackMaker(env.simulation.model)
-        self._joints = [self._joints_of(i) for i in range(env.motion_lib.num_motions())]
-
-    def _joints_of(self, motion_id: int) -> Track:
-        """Return a clip's poses without the root, one for each control step."""
-        length_s = float(self._motion_lib.get_motion_length([motion_id]))
-        frames = range(max(1, math.ceil(length_s / self._dt_s)))
-        return self.track(motion_id, frames)[:, self._maker.root_size :]
+        # Of each clip the poses without the root, one for each control step.
+        self._joints: list[Track] = []
+        for motion_id in range(env.motion_lib.num_motions()):
+            length_s = float(self._motion_lib.get_motion_length([motion_id]))
+            frames = range(max(1, math.ceil(length_s / self._dt_s)))
+            self._joints.append(self.track(motion_id, frames)[:, self._maker.root_size :])
 
     def phase(self, like: Track) -> tuple[int, int]:
         """Return the clip, and the control step in it, nearest to the first steps of `like`."""
@@ -91,17 +82,10 @@ class ReferenceClips:
 
 
 class ReferenceOverlay:
-    """Adds the reference of one environment to a scene, as a robot beside the character.
+    """Adds the reference of environment 0 to a scene, as a robot beside the character."""
 
-    Args:
-        env: a task with a motion library.
-        model: of the scene; the robot is the tree of its first joint.
-        env_id: the environment.
-    """
-
-    def __init__(self, env: Any, model: mujoco.MjModel, env_id: int = 0) -> None:
+    def __init__(self, env: Any, model: mujoco.MjModel) -> None:
         self._env = env
-        self._env_id = env_id
         self._clips = ReferenceClips(env)
         self._robot = RobotOverlay(model)
         self._first_poses: list[Pose] = []
@@ -111,7 +95,7 @@ class ReferenceOverlay:
 
     @classmethod
     def for_task(cls, env: Any, model: mujoco.MjModel) -> ReferenceOverlay | None:
-        """Return the overlay of environment 0; None for a task without reference motions."""
+        """Return the overlay; None for a task without reference motions."""
         return cls(env, model) if hasattr(env, "motion_lib") else None
 
     def add_to(self, scene: mujoco.MjvScene, qpos: Pose) -> None:
@@ -123,7 +107,7 @@ class ReferenceOverlay:
 
         Call it for each control step, or less often.
         """
-        step = int(self._env.progress_buf[self._env_id])
+        step = int(self._env.progress_buf[0])
         passed = step - self._last_step
         if passed < 0 or not self._first_poses:  # another episode
             self._first_poses.clear()

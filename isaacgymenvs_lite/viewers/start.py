@@ -13,8 +13,7 @@ from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.video import check_encoder
 from isaacgymenvs_lite.utils.files import check_no_links
-from isaacgymenvs_lite.viewers.video_capture import VideoCapture, make_video_folder
-from isaacgymenvs_lite.viewers.video_writer import VideoWriter
+from isaacgymenvs_lite.viewers.videos import VideoCapture, VideoWriter, make_video_folder
 from isaacgymenvs_lite.viewers.web_page import WebPage, check_page
 from isaacgymenvs_lite.viewers.window import Window
 
@@ -22,10 +21,7 @@ log = logging.getLogger(__name__)
 
 
 class Viewers:
-    """The viewers of a session. Use it in a `with` statement, or call `close`.
-
-    Args:
-        settings: of the launch, which say what to start.
+    """The viewers of a session, which the settings choose. Use it in a `with` statement.
 
     Raises:
         RenderingError: this machine cannot draw.
@@ -56,59 +52,42 @@ class Viewers:
             prefix: of the names of videos.
 
         Raises:
-            ConfigError: the folder of videos cannot be written, is a link or contains one, or a
-                port was taken meanwhile.
+            ConfigError: the folder of videos cannot be written or has links, or a port was taken.
         """
         settings, folder = self._settings, run_folder / "videos"
         self._env = env
         if settings.capture_video or not settings.headless:
             check_no_links(run_folder, "videos")
         if settings.capture_video:
-            self._add(self._capture(env, folder, prefix))
-        if not settings.headless:
-            window = Window(
+            on_done = None
+            if settings.wandb_activate:
+                from isaacgymenvs_lite.run.wandb_observer import log_video as on_done
+            make_video_folder(folder)
+            log.info("videos go to %s", folder)
+            capture = VideoCapture(
                 env,
+                VideoWriter(on_done),
                 folder,
-                on_quit,
-                every_step=settings.force_render,
-                keys_to_task=settings.test,
+                every=settings.capture_video_freq,
+                length=settings.capture_video_len,
+                num_envs=settings.capture_video_envs,
+                prefix=prefix,
             )
-            self._add(window)
+            self._add(capture)
+        plays = settings.test
+        if not settings.headless:
+            every_step = settings.force_render
+            self._add(Window(env, folder, on_quit, every_step=every_step, keys_to_task=plays))
         if settings.viewer == "web":
             # A play waits for the simulated time: it would be over too soon.
-            page = WebPage(
-                env,
-                settings.viewer_port,
-                real_time=settings.test,
-                keys_to_task=settings.test,
-            )
-            self._add(page)
+            self._add(WebPage(env, settings.viewer_port, real_time=plays, keys_to_task=plays))
         watched = not settings.headless or settings.viewer == "web"
-        if settings.test and watched and (help_line := getattr(env, "key_help", "")):
+        if plays and watched and (help_line := getattr(env, "key_help", "")):
             log.info("keys in the viewer: %s", help_line)
 
     def _add(self, listener: StepListener) -> None:
         self._listeners.append(listener)
         self._env.listeners.append(listener)
-
-    def _capture(self, env: Any, folder: Path, prefix: str) -> StepListener:
-        settings = self._settings
-        on_done = None
-        if settings.wandb_activate:
-            from isaacgymenvs_lite.run.wandb_observer import log_video
-
-            on_done = log_video
-        make_video_folder(folder)
-        log.info("videos go to %s", folder)
-        return VideoCapture(
-            env,
-            VideoWriter(on_done),
-            folder,
-            every=settings.capture_video_freq,
-            length=settings.capture_video_len,
-            num_envs=settings.capture_video_envs,
-            prefix=prefix,
-        )
 
     def close(self) -> None:
         """Finish videos, close window and page; a second call does nothing."""

@@ -28,7 +28,7 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.scene import TerrainWindow
 from isaacgymenvs_lite.rendering.tracks import PoseReader, markers_of
 from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay
-from isaacgymenvs_lite.viewers.task_keys import TaskKeys
+from isaacgymenvs_lite.viewers.window import press_key
 
 log = logging.getLogger(__name__)
 
@@ -46,14 +46,10 @@ class WebPage:
     If the page's process ends, the task goes on without it.
 
     Args:
-        env: the task; the reference of one that imitates is shown beside the character.
+        env: the task; the reference of a task that imitates is shown beside the character.
         port: 0 takes a free one.
         real_time: let the task wait, so that it is no faster than the simulated time.
         keys_to_task: whether keys that are pressed in the page reach the task's `on_key`.
-
-    Attributes:
-        url: address of the page.
-        process: serves the page.
 
     Raises:
         ConfigError: the port is taken, or the viewer is not installed.
@@ -61,7 +57,7 @@ class WebPage:
 
     def __init__(self, env: Any, port: int, *, real_time: bool, keys_to_task: bool = True) -> None:
         check_page(port)
-        self._keys = TaskKeys(env, keys_to_task)
+        self._env, self._keys_to_task = env, keys_to_task
         self._read_pose = PoseReader(env)
         # As in videos, rough ground is drawn around the robot only.
         self._model: mujoco.MjModel = copy.copy(env.simulation.model)
@@ -106,7 +102,8 @@ class WebPage:
                 return
             if not packet:
                 return
-            self._keys.press(packet.decode("ascii", "replace"))
+            if self._keys_to_task:
+                press_key(self._env, packet.decode("ascii", "replace"))
 
     def render(self) -> None:
         """Show the current state, unless the page is busy with earlier states."""
@@ -153,11 +150,7 @@ class WebPage:
 
 
 def check_page(port: int) -> None:
-    """Check that a page can be served.
-
-    Raises:
-        ConfigError: the port is taken, the viewer is not installed, or this is not Linux.
-    """
+    """Raise a `ConfigError` if the port is taken or the viewer is not installed."""
     if sys.platform != "linux":
         raise ConfigError(
             f"viewer=web runs on Linux only so far, not on {sys.platform}; capture_video=True makes"
@@ -166,24 +159,16 @@ def check_page(port: int) -> None:
     try:
         import websockets  # noqa: F401
 
-        reason: object = "it is not installed"
         found = importlib.util.find_spec("mujoco.studio.web_viewer")
-    except ImportError as error:
-        found, reason = None, error
+    except ImportError:
+        found = None
     if found is None:
-        raise ConfigError(
-            f"viewer=web needs MuJoCo's web viewer, which cannot be imported ({reason}); pip"
-            " install mujoco-studio"
-        )
+        raise ConfigError("viewer=web needs MuJoCo's web viewer; pip install mujoco-studio")
     _listen(port).close()
 
 
 def _listen(port: int) -> socket.socket:
-    """Return a socket that listens on localhost.
-
-    Raises:
-        ConfigError: the port is taken.
-    """
+    """Return a socket that listens on localhost."""
     try:
         return socket.create_server(("127.0.0.1", port))
     except OSError as error:

@@ -29,9 +29,8 @@ from mujoco.studio.web import web_server
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.http11 import Request, Response
 
-from isaacgymenvs_lite.rendering.markers import Marker, add_markers
+from isaacgymenvs_lite.rendering.markers import Marker, RobotOverlay, add_markers
 from isaacgymenvs_lite.rendering.view import aim_camera
-from isaacgymenvs_lite.viewers.robot_overlay import RobotOverlay
 
 _MAX_PACKET_BYTES = 2**18
 _MAX_GEOMS = 200
@@ -79,14 +78,7 @@ async def serve_locally(
     process_response: Callable[[ServerConnection, Request, Response], Response | None],
     **options: Any,
 ) -> Server:
-    """Serve as `websockets.serve` does, to pages of this machine only.
-
-    Args:
-        handler: serves a WebSocket.
-        process_request: answers a request that passes the checks.
-        process_response: adds headers.
-        options: of `websockets.serve`.
-    """
+    """Serve as `websockets.serve` does, to pages of this machine only."""
 
     def check(connection: ServerConnection, request: Request) -> Response | None:
         host = request.headers.get("Host", "")
@@ -117,12 +109,7 @@ async def serve_locally(
 
 @dataclass(frozen=True)
 class BesideSnapshot(messages.Snapshot):
-    """What is drawn beside the character.
-
-    Attributes:
-        reference: (nq,) joint positions of the translucent robot; None: there is none.
-        markers: of the goal.
-    """
+    """What is drawn beside the character: joint positions (nq,) of a robot, and markers."""
 
     reference: npt.NDArray[np.float64] | None = None
     markers: tuple[Marker, ...] = ()
@@ -131,10 +118,8 @@ class BesideSnapshot(messages.Snapshot):
 class LinkEndpoint:
     """The viewer's `ViewerEndpoint`: what the task sends becomes its messages.
 
-    Args:
-        link: to the task.
-        parent: process ID of the task. The link alone does not show the task's end: processes that
-            the task forked may hold the other end.
+    The link alone does not show the end of the task's process `parent`: processes that the task
+    forked may hold the other end.
     """
 
     def __init__(self, link: socket.socket, parent: int) -> None:
@@ -164,7 +149,7 @@ class LinkEndpoint:
         return events
 
     def _read_packet(self) -> messages.Event | None:
-        """Read one packet: return a model or the end, and store a state.
+        """Return a model or the end, or store a state and return None.
 
         Raises:
             BlockingIOError: no packet has arrived.
@@ -200,11 +185,7 @@ class LinkEndpoint:
 
 
 class PagePlugin(plugin.ViewerPlugin):
-    """Adds what is beside the character, aims the camera, and passes keys on.
-
-    Args:
-        link: to the task.
-    """
+    """Adds what is beside the character, aims the camera, and passes keys on."""
 
     def __init__(self, link: socket.socket) -> None:
         self._link = link

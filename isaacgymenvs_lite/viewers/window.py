@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import logging
 import queue
+import string
 import threading
 import time
 from collections.abc import Callable
@@ -18,11 +19,12 @@ from isaacgymenvs_lite.rendering.markers import add_markers
 from isaacgymenvs_lite.rendering.tracks import PoseReader, PoseRecorder, markers_of
 from isaacgymenvs_lite.rendering.view import aim_camera
 from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay
-from isaacgymenvs_lite.viewers.task_keys import KEY_NAMES, TaskKeys
-from isaacgymenvs_lite.viewers.video_writer import VideoJob, VideoWriter
+from isaacgymenvs_lite.viewers.videos import VideoWriter
 
 log = logging.getLogger(__name__)
 
+KEY_NAMES = ("up", "down", "left", "right", "space", *string.ascii_lowercase, *string.digits)
+"""Keys of a window or a page that `VecTask.on_key` can receive."""
 # Control steps of a recording at most; more than a minute of every task.
 _MAX_RECORDED = 10_000
 _CLOSING_S = 5.0
@@ -33,14 +35,18 @@ _NAMES = {265: "up", 264: "down", 263: "left", 262: "right", ord(" "): "space"} 
 }
 
 
+def press_key(env: Any, name: str) -> None:
+    """Call a task's `on_key`, between two steps, for the keys of `KEY_NAMES`."""
+    if name in KEY_NAMES:
+        env.on_key(name)
+
+
 class Keys:
     """The state that Isaac Gym's viewer keys set, passed from the window's thread to the task's.
 
-    Other keys are the task's.
-
     Args:
-        env: its `on_key` receives them (`VecTask`).
-        to_task: whether the others reach the task.
+        env: its `on_key` receives the other keys (`VecTask`).
+        to_task: False drops the other keys: a viewer must not change what a training learns.
 
     Attributes:
         sync: V: whether the window shows each step, no faster than the simulated time.
@@ -54,7 +60,7 @@ class Keys:
         self.sync = True
         self.recording = False
         self.quit = False
-        self._task = TaskKeys(env, to_task)
+        self._env, self._to_task = env, to_task
         self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
 
     def press(self, key: int) -> None:
@@ -71,8 +77,8 @@ class Keys:
                 self.recording = not self.recording
             elif key == _ESCAPE:
                 self.quit = True
-            else:
-                self._task.press(_NAMES.get(key, ""))
+            elif self._to_task:
+                press_key(self._env, _NAMES.get(key, ""))
 
 
 class WindowClosedError(Exception):
@@ -83,14 +89,11 @@ class Window:
     """Shows environment 0 of a task in a window; a `StepListener`.
 
     Args:
-        env: the task; the reference of one that imitates is shown beside the character.
+        env: the task; the reference of a task that imitates is shown beside the character.
         folder: where R puts videos.
         on_quit: called in the task's thread when ESC was pressed or the window closed.
         every_step: show every step; False: only when `env.render()` is called.
         keys_to_task: whether keys reach the task's `on_key`.
-
-    Raises:
-        ConfigError: there is no display.
     """
 
     def __init__(
@@ -149,7 +152,9 @@ class Window:
         self._record()
         if self._every_step and self.keys.sync:
             self.render()
-            self._wait()
+            now = time.monotonic()
+            time.sleep(max(0.0, self._next_step_s - now))
+            self._next_step_s = max(self._next_step_s, now) + self._env.simulation.dt
 
     def render(self) -> None:
         """Show the current state."""
@@ -165,12 +170,6 @@ class Window:
                 self._reference.add_to(scene, qpos)
             add_markers(scene, self._markers_of(0))
         self._viewer.sync()
-
-    def _wait(self) -> None:
-        """Wait until the simulated time has passed."""
-        now = time.monotonic()
-        time.sleep(max(0.0, self._next_step_s - now))
-        self._next_step_s = max(self._next_step_s, now) + self._env.simulation.dt
 
     def _record(self) -> None:
         if self.keys.recording:
@@ -191,7 +190,7 @@ class Window:
             log.error("cannot make the video folder %s (%s)", self._folder, error.strerror)
             return
         path = self._folder / f"window-step-{self._steps}.mp4"
-        self._video_writer.make(VideoJob.from_recording(self._env, recorder, path))
+        self._video_writer.make(self._env, recorder, path)
 
     def close(self) -> None:
         """Write a recording that runs, then close the window; a second call does nothing."""

@@ -1,48 +1,67 @@
-"""What the workflows use of an RL library.
+"""What the workflows need of an RL library, and how they read its agent files and checkpoints.
 
-The libraries' own `load` functions unpickle whatever a file holds. Agents here are made from the
-agent file, and read only tensors from a checkpoint.
+An agent file, cfg/<library>/<Task>.yaml, holds arguments of the library's classes by section, and
+a few keys of the workflow. It cannot name code: the workflow chooses the classes. The libraries'
+own `load` functions unpickle whatever a file holds; here only tensors are read.
 """
 
 from __future__ import annotations
 
-import importlib
+import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from torch import nn
+from yaml import YAMLError
 
-from isaacgymenvs_lite.errors import CheckpointError, UserError, one_line
-from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.config.staging import read_yaml
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError, one_line, unknown
+from isaacgymenvs_lite.paths import cfg_dir, user_path
+from isaacgymenvs_lite.schema import keys_of, plain, read_section, setting
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
+
+PREFIX = "agent."
+"""Start of a key of the agent file on the command line."""
+
+# Isaac Lab's scripts name a task's own agent file like this: sb3_cfg_entry_point.
+_ENTRY_POINT = "_cfg_entry_point"
+_ACTIVATIONS: dict[str, type[nn.Module]] = {
+    "elu": nn.ELU,
+    "gelu": nn.GELU,
+    "leaky_relu": nn.LeakyReLU,
+    "leakyrelu": nn.LeakyReLU,
+    "relu": nn.ReLU,
+    "selu": nn.SELU,
+    "silu": nn.SiLU,
+    "tanh": nn.Tanh,
+}
+
+
+LIBRARIES = {"sb3": "stable_baselines3", "skrl": "skrl", "rsl_rl": "rsl_rl"}
+"""Name of a library's folders in cfg/, logs/ and here -> its package."""
 
 
 class Agent(ABC):
-    """An agent of a library with its environment.
+    """An agent of a library with its environment; made from task, agent file, device and seed."""
 
-    Attributes:
-        stepper: steps the task, below the library's own wrappers.
-        max_iterations: from the agent file.
-        minibatch_rows: rows that the networks are evaluated for in a gradient step.
-        num_parameters: number of parameters of all networks.
-    """
-
+    env: Any
+    """In the library's own form, with all wrappers."""
     stepper: AutoresetTask
-    max_iterations: int
+    networks: Sequence[nn.Module]
     minibatch_rows: int
-    num_parameters: int
+    """Rows that the networks are evaluated for in a gradient step."""
 
     @abstractmethod
-    def learn(self, folder: Path, log_interval: int | None = None) -> None:
-        """Train for `max_iterations`; checkpoints and TensorBoard's files go into `folder`.
+    def learn(self, folder: Path, log_interval: int | None) -> None:
+        """Train; checkpoints and TensorBoard's files go into `folder`.
 
-        Args:
-            folder: folder of the training.
-            log_interval: frames from one log entry to the next; None: the library's own.
+        A log entry is written every `log_interval` frames; None is the library's own interval.
         """
 
     @abstractmethod
@@ -51,75 +70,120 @@ class Agent(ABC):
 
     @abstractmethod
     def load(self, checkpoint: Path) -> None:
-        """Load parameters and normalisers from a checkpoint, without running code from it.
-
-        Raises:
-            CheckpointError: it belongs to another library or another network.
-        """
+        """Load parameters and normalisers from a checkpoint, without running code from it."""
 
     @abstractmethod
-    def player(self) -> Callable[[], None]:
-        """Start new episodes; return a function that makes a step with the mean actions."""
+    def policy(self) -> Callable[[Any], Any]:
+        """Stop learning, and return a function: observations of `env` -> mean actions."""
 
 
-@dataclass(frozen=True)
-class Library:
-    """An RL library.
+@dataclass(frozen=True, kw_only=True)
+class SeedSettings:
+    """The key of an agent file that is read before the agent is made."""
 
-    Attributes:
-        name: of its folders in cfg/ and logs/, and of its package in `workflows`.
-        title: as its users write it.
-        package: module that it is imported by.
-        checkpoints: patterns of the checkpoints in the folder of a training.
+    seed: int = setting(42)
+    """Unless the command line gives one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgentSettings(SeedSettings):
+    """The keys that all agent files have."""
+
+    max_iterations: int = setting(minimum=1)
+    """Rollouts, each with the updates that follow it."""
+    checkpoint_interval: int = setting(minimum=1)
+    """Iterations."""
+
+
+Settings = TypeVar("Settings", bound=AgentSettings)
+
+
+def load_agent_file(
+    library: str, task: str, given: str, overrides: Sequence[str]
+) -> dict[str, Any]:
+    """Return the content of an agent file.
+
+    Args:
+        library: folder in cfg/.
+        task: name of the task, whose file is read; default.yaml if it has none.
+        given: a path, or the name of a file in the folder, to read instead; '' and Isaac Lab's
+            `sb3_cfg_entry_point` mean the task's file.
+        overrides: `agent.key.below=value` each; the agent checks the keys.
     """
-
-    name: str
-    title: str
-    package: str
-    checkpoints: tuple[str, ...]
-
-    def make_agent(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> Agent:
-        """Import the library and make an agent.
-
-        Args:
-            task: what to train or play on.
-            content: of an agent file.
-            device: torch device of the networks.
-            seed: of the agent.
-
-        Raises:
-            ConfigError: a key of the agent file that cannot be used.
-        """
-        module = importlib.import_module(f"isaacgymenvs_lite.workflows.{self.name}.agent")
-        return module.Agent(task, content, device, seed)
+    folder = cfg_dir() / library
+    if not given or given.endswith(_ENTRY_POINT):
+        places = [folder / f"{task}.yaml", folder / "default.yaml"]
+    else:
+        places = [user_path(given), folder / f"{given}.yaml"]
+    file = next((place for place in places if place.is_file()), None)
+    if file is None:
+        names = [path.stem for path in folder.glob("*.yaml")]
+        raise ConfigError(unknown("agent file", given, names, "or give the path of a file"))
+    content = read_yaml(file)
+    for word in overrides:
+        key, _, value = word.removeprefix(PREFIX).partition("=")
+        try:
+            OmegaConf.update(content, key, OmegaConf.from_dotlist([f"v={value}"]).v)
+        except (OmegaConfBaseException, YAMLError) as error:
+            raise ConfigError(f"{word}: {one_line(error)}") from error
+    return plain(content)
 
 
-LIBRARIES = {
-    library.name: library
-    for library in (
-        Library(
-            "sb3",
-            "Stable-Baselines3",
-            "stable_baselines3",
-            ("checkpoints/model_*.zip", "model.zip"),
-        ),
-        Library("skrl", "skrl", "skrl", ("checkpoints/agent_*.pt",)),
-        Library("rsl_rl", "rsl_rl", "rsl_rl", ("model_*.pt",)),
-    )
-}
+def read_agent(cls: type[Settings], content: Mapping[str, Any]) -> Settings:
+    """Return the content of an agent file as settings; any unknown key is a `ConfigError`."""
+    for key in content:
+        if key not in keys_of(cls):
+            raise ConfigError(unknown("key of agent", str(key), keys_of(cls)))
+    return read_section(cls, content, "agent", complete=True)
+
+
+def check_arguments(
+    function: Callable[..., Any],
+    arguments: Mapping[str, Any],
+    where: str,
+    reserved: Iterable[str] = (),
+) -> None:
+    """Check that a section holds arguments of a function or class, of the kind of its defaults.
+
+    A whole number must be at least 1, or at least its default if that is less.
+
+    Args:
+        function: what will be called with them.
+        arguments: the section; a callable counts as a schedule of a number.
+        where: path of the section, `agent.ppo`.
+        reserved: arguments that could name code or files.
+    """
+    parameters = inspect.signature(function).parameters
+    names = set(parameters) - set(reserved)
+    for name, value in arguments.items():
+        if name not in names:
+            raise ConfigError(unknown(f"key of {where}", str(name), names))
+        default, annotation = parameters[name].default, str(parameters[name].annotation)
+        if (value is None and "None" in annotation) or callable(value):
+            continue
+        if isinstance(default, bool):
+            fits, expected = isinstance(value, bool), "True or False"
+        elif isinstance(default, int) and "float" not in annotation:
+            least = min(1, default)
+            fits, expected = type(value) is int and value >= least, f"a whole number >= {least}"
+        elif isinstance(default, int | float):
+            fits, expected = type(value) in (int, float), "a number"
+        else:
+            continue
+        if not fits:
+            raise ConfigError(f"{where}.{name}: got {value!r}, expected {expected}")
+
+
+def activation_class(name: str) -> type[nn.Module]:
+    """Return the class of an activation, else raise a `ConfigError`."""
+    if name not in _ACTIVATIONS:
+        raise ConfigError(unknown("activation", name, _ACTIVATIONS))
+    return _ACTIVATIONS[name]
 
 
 @contextmanager
-def loading(file: str | Path, title: str) -> Iterator[None]:
-    """Report whatever goes wrong while a checkpoint is loaded as a user's mistake.
-
-    Args:
-        file: the checkpoint.
-        title: of the library.
-
-    Raises:
-        CheckpointError: something was raised.
-    """
+def loading(file: str | Path, library: str) -> Iterator[None]:
+    """Report whatever goes wrong while a checkpoint is loaded as a `CheckpointError`."""
     try:
         yield
     except UserError:
@@ -128,11 +192,7 @@ def loading(file: str | Path, title: str) -> Iterator[None]:
         fits = isinstance(error, (KeyError, RuntimeError, TypeError, ValueError))
         reason = one_line(error)[:160] if fits else "damaged, or with more than tensors in it"
         raise CheckpointError(
-            f"checkpoint={file}: no checkpoint of {title} for this task and agent file ({reason});"
-            " nothing of it was run; give the library, task and overrides of its training"
+            f"checkpoint={file}: no checkpoint of {library} for this task and agent file"
+            f" ({reason}); nothing of it was run; give the library, task and overrides of its"
+            " training"
         ) from error
-
-
-def count_parameters(networks: Iterable[nn.Module]) -> int:
-    """Return the number of parameters of networks."""
-    return sum(parameter.numel() for network in networks for parameter in network.parameters())

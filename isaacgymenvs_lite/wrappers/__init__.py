@@ -17,11 +17,11 @@ from isaacgymenvs_lite.utils.optional_packages import require
 
 if TYPE_CHECKING:
     from isaacgymenvs_lite.wrappers.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
-    from isaacgymenvs_lite.wrappers.record_video import RecordVectorVideo, RecordVideo
     from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
     from isaacgymenvs_lite.wrappers.rsl_rl_env import RslRlVecEnvWrapper
     from isaacgymenvs_lite.wrappers.sb3 import Sb3VecEnvWrapper
     from isaacgymenvs_lite.wrappers.skrl_env import SkrlVecEnvWrapper
+    from isaacgymenvs_lite.wrappers.task_video import RecordVectorVideo, RecordVideo
 
 __all__ = [
     "GymnasiumEnv",
@@ -39,8 +39,8 @@ _PLACES: dict[str, tuple[str, str | None]] = {
     "GymnasiumEnv": ("gymnasium_env", None),
     "GymnasiumVectorEnv": ("gymnasium_env", None),
     "RLGPUEnv": ("rl_games_env", None),
-    "RecordVectorVideo": ("record_video", "av"),
-    "RecordVideo": ("record_video", "av"),
+    "RecordVectorVideo": ("task_video", "av"),
+    "RecordVideo": ("task_video", "av"),
     "RslRlVecEnvWrapper": ("rsl_rl_env", "rsl_rl"),
     "Sb3VecEnvWrapper": ("sb3", "stable_baselines3"),
     "SkrlVecEnvWrapper": ("skrl_env", "skrl"),
@@ -48,18 +48,10 @@ _PLACES: dict[str, tuple[str, str | None]] = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import an adapter.
-
-    Raises:
-        MissingPackageError: its library is not installed.
-    """
+    """Import an adapter; without its library a `MissingPackageError` is raised."""
     if name not in _PLACES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     module, package = _PLACES[name]
     if package is not None:
         require(package, name)
     return getattr(importlib.import_module(f"{__name__}.{module}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})

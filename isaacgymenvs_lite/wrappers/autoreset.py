@@ -1,12 +1,13 @@
 """AutoresetTask: one reset convention for all tasks, which the adapters to other libraries use.
 
-Tasks start the next episode at different times (`ResetMode`). Here all of them start it within the
-step that ended the one before. A step returns the last observation of an episode beside the first
-of the next, and separates failures from time limits.
+Tasks start the next episode at different times (see `VecTask`). Here all of them start it within
+the step that ended the one before. A step returns the last observation of an episode beside the
+first of the next, and separates failures from time limits.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,13 +17,32 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.env_interface import diverged_in, reports_divergence
-from isaacgymenvs_lite.errors import ConfigError, WrapperError
+from isaacgymenvs_lite.errors import ConfigError, WrapperError, unknown
+from isaacgymenvs_lite.rendering.scene import Image
+from isaacgymenvs_lite.rendering.tracks import TaskCamera
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.random_stream import RandomStream
-from isaacgymenvs_lite.wrappers.episode_statistics import EndedEpisodes, EpisodeStatistics
 
 Observations = dict[str, Tensor]
 """{"obs": (N, F)[, "states": (N, S)]}; states are for asymmetric critics."""
+RENDER_MODE = "rgb_array"
+
+
+@dataclass(frozen=True)
+class EndedEpisodes:
+    """The n episodes that ended with a step.
+
+    Attributes:
+        env_ids: (n,) int64, their environments.
+        returns: (n,) float64 sums of rewards.
+        lengths: (n,) int64 control steps.
+        time_s: since the task was wrapped.
+    """
+
+    env_ids: Tensor
+    returns: Tensor
+    lengths: Tensor
+    time_s: float
 
 
 @dataclass(frozen=True)
@@ -59,44 +79,65 @@ class Transition:
 
 
 class AutoresetTask:
-    """Steps a task; see the module docstring.
+    """Steps and draws a task; see the module docstring.
 
     Args:
         task: what `isaacgymenvs_lite.make` returns.
-        adapter: its name, for errors.
-        random: the random numbers of the task.
+        adapter: name of the adapter, for errors.
+        random: random numbers of the task.
+        render_mode: `rgb_array`, or None for no pictures.
+        width: pixels of a picture.
+        height: pixels.
 
     Attributes:
-        task: the task.
         last_step: the results of the last step; None before the first.
         num_steps: control steps made so far.
 
     Raises:
-        WrapperError: `task` is something else, an environment that was wrapped before for example.
+        WrapperError: `task` is something else, for example a wrapped task.
+        ConfigError: another render mode.
     """
 
-    def __init__(self, task: Any, adapter: str, random: RandomStream | None = None) -> None:
+    def __init__(
+        self,
+        task: Any,
+        adapter: str,
+        random: RandomStream | None = None,
+        render_mode: str | None = None,
+        width: int = 320,
+        height: int = 240,
+    ) -> None:
         self.task = checked_task(task, adapter)
+        if render_mode not in (None, RENDER_MODE):
+            raise ConfigError(unknown("render_mode", render_mode, [RENDER_MODE, "None"]))
         self.task.keeps_final_observations = True
+        self.render_mode = render_mode
         self.last_step: Transition | None = None
         self.num_steps = 0
+        self._camera = TaskCamera(self.task, width, height)
         self._random = random or RandomStream()
-        self._statistics = EpisodeStatistics(self.task.num_envs, self.task.rl_device)
+        num_envs, device = self.task.num_envs, self.task.rl_device
+        # In float64: a thousand float32 rewards would lose digits.
+        self._returns = torch.zeros(num_envs, dtype=torch.float64, device=device)
+        self._lengths = torch.zeros(num_envs, dtype=torch.int64, device=device)
+        self._start_s = time.perf_counter()
 
     @property
     def num_envs(self) -> int:
         """N."""
         return self.task.num_envs
 
-    def reset(self, seed: int | None = None) -> Observations:
-        """Start a new episode in every environment and return the first observations.
+    @property
+    def render_fps(self) -> int:
+        """Pictures per second that show the task in real time, a whole number."""
+        return max(1, round(1.0 / self.task.simulation.dt))
 
-        Args:
-            seed: determines all later random numbers of the task; None changes nothing.
-        """
+    def reset(self, seed: int | None = None) -> Observations:
+        """Start new episodes; a seed determines all later random numbers of the task."""
         if seed is not None:
             self._random.seed(seed)
-        self._statistics.restart(self._all())
+        self._returns.zero_()
+        self._lengths.zero_()
         with self._stepping():
             return self.task.reset()
 
@@ -104,20 +145,13 @@ class AutoresetTask:
         """Start new episodes where `mask` (N,) bool is True; return the observations of all."""
         if seed is not None:
             self._random.seed(seed)
-        self._statistics.restart(mask.to(self.task.rl_device))
+        self._restart_counts(mask.to(self.task.rl_device))
         with self._stepping():
             self.task.reset_buf.masked_fill_(mask.to(self.task.device), 1)
             return self.task.reset_done()[0]
 
     def step(self, actions: Tensor) -> Transition:
-        """Advance all environments by one control step, and start the next episodes.
-
-        Args:
-            actions: (N, A).
-
-        Raises:
-            ConfigError: actions of another shape.
-        """
+        """Make one control step with actions (N, A), and start the next episodes."""
         expected = (self.num_envs, self.task.num_actions)
         if tuple(actions.shape) != expected:
             raise ConfigError(f"actions of shape {tuple(actions.shape)}: expected {expected}")
@@ -138,17 +172,36 @@ class AutoresetTask:
                 truncated=truncated,
                 per_env=per_env,
                 scalars=scalars,
-                episodes=self._statistics.count(rewards, ended),
+                episodes=self._count(rewards, ended),
             )
             self.num_steps += 1
             return self.last_step
 
+    def draw(self) -> list[Image]:
+        """Return a picture (height, width, 3) of each environment."""
+        return self._camera.draw(range(self.num_envs))
+
+    def render(self) -> list[Image] | None:
+        """Return what `draw` returns; None without a render mode."""
+        return self.draw() if self.render_mode else None
+
     def close(self) -> None:
-        """Free the task's simulation."""
+        """Free renderer and simulation; a second call does nothing."""
+        self._camera.close()
         self.task.close()
 
-    def _all(self) -> Tensor:
-        return torch.ones(self.num_envs, dtype=torch.bool, device=self.task.rl_device)
+    def _restart_counts(self, mask: Tensor) -> None:
+        self._returns.masked_fill_(mask, 0.0)
+        self._lengths.masked_fill_(mask, 0)
+
+    def _count(self, rewards: Tensor, ended: Tensor) -> EndedEpisodes:
+        self._returns += rewards
+        self._lengths += 1
+        env_ids = ended.nonzero().flatten()
+        time_s = time.perf_counter() - self._start_s
+        episodes = EndedEpisodes(env_ids, self._returns[env_ids], self._lengths[env_ids], time_s)
+        self._restart_counts(ended)
+        return episodes
 
     @contextmanager
     def _stepping(self) -> Iterator[None]:
@@ -161,24 +214,12 @@ class AutoresetTask:
 
 
 def checked_task(env: Any, adapter: str) -> VecTask:
-    """Return `env` if it is a task without a wrapper.
-
-    Raises:
-        WrapperError: it is something else.
-    """
+    """Return `env` if it is a task without a wrapper, else raise a `WrapperError`."""
     if isinstance(env, VecTask):
         return env
-    given = type(env).__name__
-    inner = getattr(getattr(env, "unwrapped", env), "task", None)
-    hint = (
-        f"; {given} is a task in another wrapper already: adapters do not go around others, wrap"
-        " the task itself, and put the library's own wrappers around the adapter"
-        if isinstance(inner, VecTask)
-        else ""
-    )
     raise WrapperError(
-        f"{adapter}: got {given}, expected a task as isaacgymenvs_lite.make(task=...) returns"
-        f" it{hint}"
+        f"{adapter}: got {type(env).__name__}, expected a task as isaacgymenvs_lite.make(task=...)"
+        " returns it; wrap the task itself, and put the library's own wrappers around the adapter"
     )
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import gymnasium
 import numpy as np
@@ -30,14 +30,37 @@ from isaacgymenvs_lite.rendering.scene import Image
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.random_stream import RandomStream
 from isaacgymenvs_lite.utils.threads import limit_torch_threads, threads_for_envs
-from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Transition
-from isaacgymenvs_lite.wrappers.camera import RENDER_MODE, AdapterCamera, ShowsFirst
+from isaacgymenvs_lite.wrappers.autoreset import RENDER_MODE, AutoresetTask, Transition
 
 Floats = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
+_Env = TypeVar("_Env", "GymnasiumVectorEnv", "GymnasiumEnv")
 
 
-def make_vector_env(
+def make_vector_env(task: str, num_envs: int, **keywords: Any) -> GymnasiumVectorEnv:
+    """Make what `gymnasium.make_vec("IsaacGymEnvsLite/<Task>-v0", num_envs=N, ...)` returns.
+
+    Args:
+        task: name of a task file.
+        num_envs: N.
+        keywords: render_mode (`rgb_array` or None), width and height of a picture in pixels,
+            overrides (words of train.py's command line), config_dir (a folder with more task files,
+            below task/), and keys of cfg/config.yaml: `num_threads=2`. `seed` gives the task its
+            own sequence of random numbers from the start, as `reset(seed=...)` does.
+
+    Raises:
+        ConfigError: an unknown key or a value that cannot be used.
+    """
+    return _make(GymnasiumVectorEnv, task, num_envs, **keywords)
+
+
+def make_single_env(task: str, **keywords: Any) -> GymnasiumEnv:
+    """Make `gymnasium.make("IsaacGymEnvsLite/<Task>-v0", ...)`; keywords as `make_vector_env`."""
+    return _make(GymnasiumEnv, task, 1, **keywords)
+
+
+def _make(
+    cls: type[_Env],
     task: str,
     num_envs: int,
     render_mode: str | None = None,
@@ -47,43 +70,9 @@ def make_vector_env(
     overrides: Sequence[str] = (),
     config_dir: str | Path | None = None,
     **keys: Any,
-) -> GymnasiumVectorEnv:
-    """Make what `gymnasium.make_vec("IsaacGymEnvsLite/<Task>-v0", num_envs=N, ...)` returns.
-
-    Args:
-        task: name of a task file.
-        num_envs: N.
-        render_mode: `rgb_array` or None.
-        width: of a picture, pixels.
-        height: pixels.
-        overrides: as on train.py's command line, `["task.env.episodeLength=200"]`.
-        config_dir: a folder with further task files, below task/.
-        keys: keys of cfg/config.yaml: `num_threads=2`. `seed` gives the task its own sequence of
-            random numbers from the start, as `reset(seed=...)` does.
-
-    Raises:
-        ConfigError: an unknown key or a value that cannot be used.
-    """
+) -> _Env:
     made, random = make_task(task, num_envs, keys, overrides, config_dir)
-    return GymnasiumVectorEnv(made, render_mode, width=width, height=height, random=random)
-
-
-def make_single_env(
-    task: str,
-    render_mode: str | None = None,
-    *,
-    width: int = 320,
-    height: int = 240,
-    overrides: Sequence[str] = (),
-    config_dir: str | Path | None = None,
-    **keys: Any,
-) -> GymnasiumEnv:
-    """Make what `gymnasium.make("IsaacGymEnvsLite/<Task>-v0", ...)` returns.
-
-    Arguments and errors as `make_vector_env`.
-    """
-    made, random = make_task(task, 1, keys, overrides, config_dir)
-    return GymnasiumEnv(made, render_mode, width=width, height=height, random=random)
+    return cls(made, render_mode, width=width, height=height, random=random)
 
 
 def make_task(
@@ -101,34 +90,28 @@ def make_task(
         num_envs: '' = the task file's own.
         keys: keys of cfg/config.yaml.
         overrides: words of the command line.
-        config_dir: a folder with further task files.
+        config_dir: a folder with more task files.
         cfg: a composed tree to use in place of all these.
     """
     if cfg is None:
         number = f"num_envs={num_envs}" if num_envs != "" else "num_envs=''"
-        words = [f"{key}={_as_word(value)}" for key, value in keys.items()]
-        cfg = compose_task(task, [number, "rl_device=cpu", *words, *overrides], config_dir)
-        is_seeded = "seed" in keys
+        words = [f"{key}={'null' if value is None else value}" for key, value in keys.items()]
+        made_of = compose_task(task, [number, "rl_device=cpu", *words, *overrides], config_dir)
     else:
-        is_seeded = True
-    settings = check_config(cfg)
+        made_of = cfg
+    settings = check_config(made_of)
     random = RandomStream()
-    if is_seeded and settings.seed >= 0:
+    if (cfg is not None or "seed" in keys) and settings.seed >= 0:
         random.seed(settings.seed)
     with random:
         made = make_from_config(
-            cfg,
+            made_of,
             sim_device=settings.sim_device,
             rl_device=settings.rl_device,
             graphics_device_id=settings.graphics_device_id,
         )
     limit_torch_threads(made, threads_for_envs(made.num_envs), settings.num_threads)
     return made, random
-
-
-def _as_word(value: Any) -> str:
-    """Return a value as it is written on train.py's command line."""
-    return "null" if value is None else str(value)
 
 
 class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
@@ -141,20 +124,7 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
     `infos["states"]` (N, S), for asymmetric critics, belong to the returned observations. All other
     infos, such as `amp_obs` (N, F), belong to the step: an ended episode has its last ones.
 
-    Args:
-        task: what `isaacgymenvs_lite.make` returns.
-        render_mode: `rgb_array` or None.
-        width: of a picture, pixels.
-        height: pixels.
-        random: random numbers of the task.
-
-    Attributes:
-        task: the task.
-        stepper: steps the task.
-
-    Raises:
-        WrapperError: `task` is not a task.
-        ConfigError: another render mode.
+    Arguments and errors are those of `AutoresetTask`, which is the attribute `stepper`.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  as Gymnasium declares it
@@ -171,11 +141,11 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         height: int = 240,
         random: RandomStream | None = None,
     ) -> None:
-        self.stepper = AutoresetTask(task, type(self).__name__, random)
+        name = type(self).__name__
+        self.stepper = AutoresetTask(task, name, random, render_mode, width, height)
         self.task = self.stepper.task
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": render_fps(self.task)}
-        self._camera = AdapterCamera(self.task, render_mode, width, height)
+        self.metadata = {**self.metadata, "render_fps": self.stepper.render_fps}
         self.num_envs = self.task.num_envs
         self.single_observation_space = self.task.observation_space
         self.single_action_space = self.task.action_space
@@ -185,33 +155,30 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Floats, dict[str, Any]]:
-        """Start new episodes, in all environments or in those of `options["reset_mask"]`.
+        """Start new episodes and return observations (N, F) and infos.
 
         Args:
             seed: seeds the one sequence that all environments of the task draw from.
-            options: `reset_mask`, (N,) bool with at least one True; other keys are not read.
-
-        Returns:
-            observations (N, F) and infos.
-
-        Raises:
-            ConfigError: another kind of mask.
+            options: `reset_mask`, (N,) bool with at least one True: start only those.
         """
         super().reset(seed=seed)
         mask = (options or {}).get("reset_mask")
         if mask is None:
             observations = self.stepper.reset(seed)
         else:
-            observations = self.stepper.reset_some(self._checked_mask(mask), seed)
-        others = {name: rows for name, rows in observations.items() if name != "obs"}
-        everywhere = np.ones(self.num_envs, dtype=bool)
-        return as_numpy(observations["obs"]), _masked(others, {}, everywhere)
+            mask = np.array(mask)
+            if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+                raise ConfigError(
+                    f"options['reset_mask']: got {mask.dtype} {mask.shape}, expected a numpy array"
+                    f" of ({self.num_envs},) bool with at least one True"
+                )
+            observations = self.stepper.reset_some(torch.from_numpy(mask), seed)
+        others = dict(observations)
+        first = as_numpy(others.pop("obs"))
+        return first, _masked(others, {}, np.ones(self.num_envs, dtype=bool))
 
     def step(self, actions: Floats) -> tuple[Floats, Floats, Bools, Bools, dict[str, Any]]:
-        """Advance by one control step; see the class docstring.
-
-        Args:
-            actions: (N, A).
+        """Advance by one control step with actions (N, A); see the class docstring.
 
         Returns:
             observations (N, F), rewards (N,), terminated (N,), truncated (N,) and infos.
@@ -241,29 +208,28 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
             infos |= {"final_info": final_info, "_final_info": ended.copy()}
         return infos
 
-    def _checked_mask(self, mask: Any) -> torch.Tensor:
-        shape = (self.num_envs,)
-        fits = isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == shape
-        if not fits or not mask.any():
-            given = f"{mask.dtype} {mask.shape}" if isinstance(mask, np.ndarray) else repr(mask)
-            raise ConfigError(
-                f"options['reset_mask']: got {given}, expected a numpy array of {shape} bool with"
-                " at least one True"
-            )
-        return torch.from_numpy(mask.copy())
-
     def render(self) -> tuple[Image, ...] | None:
-        """Return a picture (height, width, 3) of each environment; None without a render mode.
-
-        Raises:
-            RenderingError: this machine cannot draw.
-        """
-        pictures = self._camera.render()
+        """Return a picture (height, width, 3) of each environment; None without a render mode."""
+        pictures = self.stepper.render()
         return None if pictures is None else tuple(pictures)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free renderer and simulation."""
-        self._camera.close()
+        self.stepper.close()
+
+
+class ShowsFirst:
+    """An environment that shows environment 0 of its task."""
+
+    stepper: AutoresetTask
+
+    def render(self) -> Image | None:
+        """Return a picture (height, width, 3) of environment 0; None without a render mode."""
+        pictures = self.stepper.render()
+        return None if pictures is None else pictures[0]
+
+    def close(self) -> None:
+        """Free renderer and simulation; a second call does nothing."""
         self.stepper.close()
 
 
@@ -273,20 +239,7 @@ class GymnasiumEnv(ShowsFirst, gymnasium.Env[Floats, Floats]):
     The step that ends an episode returns its last observation, and `reset` starts the next. `info`
     holds `states` (S,) for asymmetric critics and the task's other infos, `amp_obs` for example.
 
-    Args:
-        task: a task with `num_envs=1`.
-        render_mode: `rgb_array` or None.
-        width: of a picture, pixels.
-        height: pixels.
-        random: random numbers of the task.
-
-    Attributes:
-        task: the task.
-        stepper: steps the task.
-
-    Raises:
-        WrapperError: `task` is not a task.
-        ConfigError: a task with more environments, or another render mode.
+    Arguments and errors are those of `AutoresetTask`; the task has one environment.
     """
 
     metadata: dict[str, Any] = {"render_modes": [RENDER_MODE]}  # noqa: RUF012  as Gymnasium
@@ -300,7 +253,8 @@ class GymnasiumEnv(ShowsFirst, gymnasium.Env[Floats, Floats]):
         height: int = 240,
         random: RandomStream | None = None,
     ) -> None:
-        self.stepper = AutoresetTask(task, type(self).__name__, random)
+        name = type(self).__name__
+        self.stepper = AutoresetTask(task, name, random, render_mode, width, height)
         self.task = self.stepper.task
         if self.task.num_envs != 1:
             raise ConfigError(
@@ -308,19 +262,14 @@ class GymnasiumEnv(ShowsFirst, gymnasium.Env[Floats, Floats]):
                 " GymnasiumVectorEnv takes more"
             )
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": render_fps(self.task)}
-        self._camera = AdapterCamera(self.task, render_mode, width, height)
+        self.metadata = {**self.metadata, "render_fps": self.stepper.render_fps}
         self.observation_space = self.task.observation_space
         self.action_space = self.task.action_space
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Floats, dict[str, Any]]:
-        """Start a new episode; `options` are not read.
-
-        Returns:
-            observation (F,) and info.
-        """
+        """Start a new episode; return its observation (F,) and info."""
         super().reset(seed=seed)
         observations = self.stepper.reset(seed)
         return _row(observations.pop("obs")), {name: _row(v) for name, v in observations.items()}
@@ -343,11 +292,6 @@ class GymnasiumEnv(ShowsFirst, gymnasium.Env[Floats, Floats]):
 def as_numpy(tensor: torch.Tensor) -> npt.NDArray[Any]:
     """Return a tensor of any device as an array."""
     return tensor.cpu().numpy()
-
-
-def render_fps(task: VecTask) -> int:
-    """Return the pictures per second that show a task in real time, a whole number."""
-    return max(1, round(1.0 / task.simulation.dt))
 
 
 def _masked(

@@ -11,9 +11,8 @@ from omegaconf import DictConfig
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations
-from isaacgymenvs_lite.wrappers.camera import RENDER_MODE, AdapterCamera, ShowsFirst
-from isaacgymenvs_lite.wrappers.gymnasium_env import make_task, render_fps
+from isaacgymenvs_lite.wrappers.autoreset import RENDER_MODE, AutoresetTask, Observations
+from isaacgymenvs_lite.wrappers.gymnasium_env import ShowsFirst, make_task
 
 
 def make_isaac_lab_env(
@@ -27,8 +26,7 @@ def make_isaac_lab_env(
 
     Args:
         task: name of a task file.
-        cfg: a tree as `isaacgymenvs_lite.config.compose.compose_task` returns it; None composes
-            one from the other arguments.
+        cfg: a tree of `isaacgymenvs_lite.config.compose.compose_task`, in place of all keys.
         render_mode: `rgb_array` or None.
         num_envs: N; '' = the task file's own.
         keys: keys of cfg/config.yaml: `seed=1`.
@@ -43,42 +41,26 @@ def make_isaac_lab_env(
             " Lab's own configurations describe its simulator"
         )
     made, random = make_task(task, num_envs, keys, cfg=cfg)
-    env = IsaacLabEnv(AutoresetTask(made, IsaacLabEnv.__name__, random), render_mode)
-    env.cfg = cfg
-    return env
+    return IsaacLabEnv(AutoresetTask(made, IsaacLabEnv.__name__, random, render_mode), cfg)
 
 
 class IsaacLabEnv(ShowsFirst, gymnasium.Env[dict[str, Tensor], Tensor]):
     """N environments of a task in one, as Isaac Lab's: batches of tensors.
 
     A step that ends an episode returns the first observation of the next one. Observations are
-    {"policy": (N, F)}, with {"critic": (N, S)} for an asymmetric critic.
-
-    Args:
-        stepper: steps the task.
-        render_mode: `rgb_array` or None.
-
-    Attributes:
-        stepper: as given.
-        task: the task.
-        cfg: the tree that the task was made from, None without one.
-        num_envs: N.
-        device: torch device of all tensors.
-        step_dt: control step, s.
-        max_episode_length: control steps.
+    {"policy": (N, F)}, with {"critic": (N, S)} for an asymmetric critic. `step_dt` is the control
+    step in s, `max_episode_length` counts control steps.
     """
 
     metadata: dict[str, Any] = {"render_modes": [None, RENDER_MODE]}  # noqa: RUF012  as Gymnasium
 
-    def __init__(self, stepper: AutoresetTask, render_mode: str | None = None) -> None:
-        self.stepper, self.task = stepper, stepper.task
-        self.cfg: DictConfig | None = None
+    def __init__(self, stepper: AutoresetTask, cfg: DictConfig | None) -> None:
+        self.stepper, self.task, self.cfg = stepper, stepper.task, cfg
         self.num_envs, self.device = self.task.num_envs, torch.device(self.task.rl_device)
         self.step_dt = self.task.simulation.dt
         self.max_episode_length = self.task.max_episode_length
-        self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": render_fps(self.task)}
-        self._camera = AdapterCamera(self.task, render_mode)
+        self.render_mode = stepper.render_mode
+        self.metadata = {**self.metadata, "render_fps": stepper.render_fps}
         spaces = {"policy": self.task.observation_space}
         if self.task.num_states > 0:
             spaces["critic"] = self.task.state_space

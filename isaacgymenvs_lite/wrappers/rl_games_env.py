@@ -9,18 +9,16 @@ from rl_games.common.ivecenv import IVecEnv
 from torch import Tensor
 
 import isaacgymenvs_lite
-from isaacgymenvs_lite.tasks.base.vec_task import ResetMode, VecTask
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.threads import release_torch_threads, trainer_sets_threads
 
 
 class RLGPUEnv(IVecEnv):
-    """Gives rl_games the task that the registered creator makes.
+    """Gives rl_games the task that the registered creator makes, as attribute `env`.
 
-    Agents of two kinds step an `ON_REQUEST` task. Those of the AMP family, a fork's own too, call
-    `reset_done` before each action and need the last observation of an episode from `step`.
-    rl_games' own never call it and need the first observation of the next one. So the task starts
-    as `SAME_STEP`, and the first call of `reset_done` chooses `ON_REQUEST` for good. Other tasks
-    reset as they do without rl_games.
+    The first action of an episode in a task with `agents_call_reset_done` has to be chosen for its
+    first observation. Agents of the AMP family call `reset_done` before each action. rl_games' own
+    agents never do: until somebody calls it, `step` does and returns its observations.
 
     Args:
         config_name: name of the environment in rl_games' configurations, `rlgpu`.
@@ -30,7 +28,6 @@ class RLGPUEnv(IVecEnv):
 
     Attributes:
         env: the task.
-        reset_mode: when the next episode starts, from the agent's point of view; see above.
     """
 
     def __init__(self, config_name: str, num_actors: int, **kwargs: Any) -> None:
@@ -51,14 +48,12 @@ class RLGPUEnv(IVecEnv):
         self.env = task
         release_torch_threads(task)  # of a task that was made before
         # A user's own environment may lack it.
-        self._task_mode = getattr(task, "reset_mode", ResetMode.CUSTOM)
-        on_request = self._task_mode is ResetMode.ON_REQUEST
-        self.reset_mode = ResetMode.SAME_STEP if on_request else self._task_mode
+        self._calls_reset_done = getattr(task, "agents_call_reset_done", False)
 
     def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
         """Advance by one control step; see `VecTask.step` and the class docstring."""
         obs, rewards, dones, infos = self.env.step(actions)
-        if self.reset_mode is not self._task_mode:
+        if self._calls_reset_done:
             obs, _ = self.env.reset_done()
         return obs, rewards, dones, infos
 
@@ -68,7 +63,7 @@ class RLGPUEnv(IVecEnv):
 
     def reset_done(self) -> tuple[dict[str, Tensor], Tensor]:
         """See `VecTask.reset_done` and the class docstring."""
-        self.reset_mode = self._task_mode
+        self._calls_reset_done = False
         return self.env.reset_done()
 
     def get_number_of_agents(self) -> int:

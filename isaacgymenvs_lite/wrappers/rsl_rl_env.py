@@ -16,22 +16,11 @@ ACTOR_GROUP, CRITIC_GROUP = "policy", "critic"
 
 
 class RslRlVecEnvWrapper(VecEnv):
-    """N environments of a task for rsl_rl's runners.
+    """N environments of a task of `isaacgymenvs_lite.make` for rsl_rl's runners.
 
     Observations have the groups `policy` (N, F) and, if the task has states, `critic` (N, S).
     `extras` holds `time_outs` (N,), the task's infos for each environment, `amp_obs` (N, F) for
-    example, and in `log` those for all environments together.
-
-    Args:
-        task: what `isaacgymenvs_lite.make` returns.
-
-    Attributes:
-        task: the task.
-        stepper: steps the task.
-        max_episode_length: control steps.
-
-    Raises:
-        WrapperError: `task` is not a task.
+    example, and in `log` the infos for all environments together. `stepper` steps the task.
     """
 
     def __init__(self, task: Any) -> None:

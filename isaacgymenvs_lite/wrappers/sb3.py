@@ -6,7 +6,9 @@ Isaac Lab's `isaaclab_rl.sb3` has the same names; docs/from_isaac_lab.md has a s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import ast
+import logging
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -14,17 +16,17 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
+from torch import nn
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.scene import Image
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Transition
-from isaacgymenvs_lite.wrappers.camera import AdapterCamera
 from isaacgymenvs_lite.wrappers.gymnasium_env import Bools, Floats, GymnasiumVectorEnv, as_numpy
 from isaacgymenvs_lite.wrappers.isaac_lab_env import IsaacLabEnv
-from isaacgymenvs_lite.wrappers.sb3_settings import process_sb3_cfg
 
-__all__ = ["Sb3VecEnvWrapper", "process_sb3_cfg"]
+log = logging.getLogger(__name__)
 
 _BATCHED = (IsaacLabEnv, GymnasiumVectorEnv)
 # Wrappers that change nothing of what a step returns.
@@ -32,6 +34,11 @@ _RECORDERS = (
     *(gymnasium.wrappers.RecordVideo, gymnasium.wrappers.vector.RecordVideo),
     *(gymnasium.wrappers.OrderEnforcing, gymnasium.wrappers.PassiveEnvChecker),
 )
+
+# Arguments of PPO that may be "lin_3e-4": linearly to zero, as in Stable-Baselines3's zoo.
+_SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
+_LINEAR = "lin_"
+_NN = ("nn.", "torch.nn.", "th.nn.")
 
 
 def _unrecorded(env: Any) -> Any:
@@ -47,23 +54,19 @@ class Sb3VecEnvWrapper(VecEnv):
     An ended episode's `infos[i]` holds `terminal_observation` (F,), `TimeLimit.truncated` and
     `episode` {"r": return, "l": length, "t": s since the start}, so that no `VecMonitor` is needed.
     Every `infos[i]` also holds the task's infos for environment i at the end of the step, such as
-    `amp_obs` (F,), and in `infos[i]["log"]` those for all environments together.
-
-    The library's own wrappers go around it: `VecNormalize(Sb3VecEnvWrapper(task))`.
+    `amp_obs` (F,), and in `infos[i]["log"]` the infos for all environments together.
 
     Args:
         task: what `isaacgymenvs_lite.make` returns; or `gymnasium.make("Isaac-Cartpole-v0")` or
             `gymnasium.make_vec`, also in a wrapper that records videos.
         render_mode: `rgb_array` or None; an environment of Gymnasium has its own.
-        fast_variant: accepted for scripts of Isaac Lab, and not read: infos are complete.
+        fast_variant: not read, for scripts of Isaac Lab: infos are complete.
 
     Attributes:
-        task: the task.
         stepper: steps the task; its `last_step` is the last step as tensors.
 
     Raises:
         WrapperError: `task` is something else, or in a wrapper that changes what a step returns.
-        ConfigError: another render mode.
     """
 
     def __init__(
@@ -71,12 +74,10 @@ class Sb3VecEnvWrapper(VecEnv):
     ) -> None:
         self._env = task if isinstance(_unrecorded(task), _BATCHED) else None
         if self._env is None:
-            self.stepper = AutoresetTask(task, type(self).__name__)
+            self.stepper = AutoresetTask(task, type(self).__name__, render_mode=render_mode)
         else:
             self.stepper = self._env.unwrapped.stepper
-            render_mode = self._env.unwrapped.render_mode
         self.task = self.stepper.task
-        self._camera = AdapterCamera(self.task, render_mode)
         self._actions = torch.zeros(self.task.num_envs, self.task.num_actions)
         super().__init__(self.task.num_envs, self.task.observation_space, self.task.action_space)
 
@@ -136,31 +137,22 @@ class Sb3VecEnvWrapper(VecEnv):
 
     def close(self) -> None:
         """Free renderer and simulation."""
-        self._camera.close()
         (self.stepper if self._env is None else self._env).close()
 
     def get_images(self) -> Sequence[Image]:
-        """Return a picture of each environment.
-
-        Raises:
-            RenderingError: this machine cannot draw.
-        """
-        return self._camera.draw()
+        """Return a picture of each environment."""
+        return self.stepper.draw()
 
     # --- per-environment calls of Stable-Baselines3; here all environments are one task ----------
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute of the task, once for each environment."""
-        owner = self._camera if attr_name == "render_mode" else self.task
+        owner = self.stepper if attr_name == "render_mode" else self.task
         value = getattr(owner, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of the task, for all environments.
-
-        Raises:
-            ConfigError: `indices` names only some environments.
-        """
+        """Set an attribute of the task, for all environments; `indices` may not select fewer."""
         if len(set(self._get_indices(indices))) != self.num_envs:
             raise ConfigError(
                 f"set_attr('{attr_name}', indices={indices}): the environments are one task;"
@@ -178,3 +170,82 @@ class Sb3VecEnvWrapper(VecEnv):
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Return True for `Monitor`, as the infos have the returns and lengths of episodes."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
+
+
+def process_sb3_cfg(cfg: Mapping[str, Any], num_envs: int) -> dict[str, Any]:
+    """Return an agent file of Isaac Lab as arguments of Stable-Baselines3's PPO.
+
+    `n_minibatches` becomes `batch_size`, `lin_3e-4` a schedule, `policy_kwargs` and the activation
+    in it objects. A GPU in `device` is left out where torch sees none. All other keys stay, also
+    `n_timesteps`, `policy` and `normalize_input`, which are no arguments of PPO.
+
+    Older files write `policy_kwargs` as a line of Python, `"dict(activation_fn=nn.ELU, ...)"`,
+    which Isaac Lab evaluates. Here it is parsed and never run. A wrong value is a `ConfigError`.
+    """
+    made = read_schedules(cfg, "agent")
+    if "n_minibatches" in made:
+        made["batch_size"] = made.get("n_steps", 2048) * num_envs // made.pop("n_minibatches")
+    if "policy_kwargs" in made:
+        made["policy_kwargs"] = _read_policy_kwargs(made["policy_kwargs"] or {})
+    if str(made.get("device", "")).startswith("cuda") and not torch.cuda.is_available():
+        log.info("agent.device=%s: torch sees no GPU; the CPU is used", made.pop("device"))
+    return made
+
+
+def read_schedules(section: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return arguments of PPO with falling schedules for "lin_3e-4"; other values unchanged."""
+    made = dict(section)
+    for key in _SCHEDULED:
+        value = made.get(key)
+        if isinstance(value, str) and value.startswith(_LINEAR):
+            try:
+                made[key] = LinearSchedule(float(value.removeprefix(_LINEAR)), 0.0, 1.0)
+            except ValueError as error:
+                message = f"{where}.{key}: got {value!r}, expected a number, or lin_ and a number"
+                raise ConfigError(message) from error
+    return made
+
+
+def _read_policy_kwargs(arguments: Any) -> dict[str, Any]:
+    """Return `policy_kwargs` with the activation as a class of torch.nn."""
+    if isinstance(arguments, str):
+        try:
+            arguments = _value(ast.parse(arguments.strip(), mode="eval").body)
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            raise ConfigError(
+                f"agent.policy_kwargs={arguments[:60]!r}: expected a mapping, or dict(...) of"
+                " numbers, lists and activations such as nn.ELU; nothing of it is run"
+            ) from error
+    if not isinstance(arguments, Mapping):
+        raise ConfigError(f"agent.policy_kwargs: got {arguments!r}, expected a mapping")
+    policy = dict(arguments)
+    if policy.get("activation_fn") is not None:
+        given = str(policy["activation_fn"])
+        prefix = next((prefix for prefix in _NN if given.startswith(prefix)), None)
+        name = given.removeprefix(prefix or given)
+        if name not in nn.modules.activation.__all__:
+            raise ConfigError(
+                f"agent.policy_kwargs.activation_fn: got {given!r}, expected the name of an"
+                " activation, such as nn.ELU"
+            )
+        policy["activation_fn"] = getattr(nn, name)
+    return policy
+
+
+def _value(node: ast.expr) -> Any:
+    match node:
+        case ast.Call(func=ast.Name(id="dict"), args=[], keywords=words):
+            if any(word.arg is None for word in words):
+                raise ValueError("**")
+            return {str(word.arg): _value(word.value) for word in words}
+        case ast.Dict(keys=keys, values=values):
+            names = [ast.literal_eval(key) if key is not None else None for key in keys]
+            if not all(isinstance(name, str) for name in names):
+                raise ValueError("a key that is not text")
+            return dict(zip(names, map(_value, values), strict=True))
+        case ast.List(elts=entries) | ast.Tuple(elts=entries):
+            return [_value(entry) for entry in entries]
+        case ast.Attribute() if ast.unparse(node).startswith(_NN):
+            return ast.unparse(node)
+        case _:
+            return ast.literal_eval(node)

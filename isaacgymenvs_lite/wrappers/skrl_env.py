@@ -12,34 +12,22 @@ from torch import Tensor
 
 from isaacgymenvs_lite.rendering.scene import Image
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations
-from isaacgymenvs_lite.wrappers.camera import AdapterCamera
 
 
 class SkrlVecEnvWrapper(Wrapper):
-    """N environments of a task for skrl's trainers and agents.
+    """N environments of a task of `isaacgymenvs_lite.make` for skrl's trainers and agents.
 
     `infos` holds the task's infos for each environment at the end of the step, `amp_obs` (N, F) for
-    example, and in `episode` those for all environments together, which trainers log. Steps that
-    end episodes add `final_observations` (N, F): the last ones of the ended episodes, where `step`
-    returns the first ones of the next. Rows of other environments mean nothing.
+    example, and in `episode` the infos for all environments together, which trainers log. Steps
+    that end episodes add `final_observations` (N, F): the last ones of the ended episodes, where
+    `step` returns the first ones of the next. Rows of other environments mean nothing.
 
-    Args:
-        task: what `isaacgymenvs_lite.make` returns.
-        render_mode: `rgb_array` or None.
-
-    Attributes:
-        task: the task.
-        stepper: steps the task.
-
-    Raises:
-        WrapperError: `task` is not a task.
-        ConfigError: another render mode.
+    `render_mode` is `rgb_array` or None; `stepper` steps the task.
     """
 
     def __init__(self, task: Any, render_mode: str | None = None) -> None:
-        self.stepper = AutoresetTask(task, type(self).__name__)
+        self.stepper = AutoresetTask(task, type(self).__name__, render_mode=render_mode)
         self.task = self.stepper.task
-        self._camera = AdapterCamera(self.task, render_mode)
         self._states: Tensor | None = None
         super().__init__(self.task)
 
@@ -72,16 +60,11 @@ class SkrlVecEnvWrapper(Wrapper):
         return self._states
 
     def render(self, *args: Any, **kwargs: Any) -> list[Image] | None:
-        """Return a picture of each environment; None without a render mode.
-
-        Raises:
-            RenderingError: this machine cannot draw.
-        """
-        return self._camera.render()
+        """Return a picture of each environment; None without a render mode."""
+        return self.stepper.render()
 
     def close(self) -> None:
         """Free renderer and simulation."""
-        self._camera.close()
         self.stepper.close()
 
     def _observed(self, observations: Observations) -> Tensor:

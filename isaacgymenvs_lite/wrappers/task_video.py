@@ -1,23 +1,31 @@
-"""Videos of a task at chosen steps or episodes, with the arguments of gym's RecordVideo."""
+"""Videos at chosen steps or episodes: of a task, and of environments of Gymnasium.
+
+    env = gymnasium.make("IsaacGymEnvsLite/Ant-v0", render_mode="rgb_array")
+    env = RecordVideo(env, "videos", episode_trigger=lambda episode: episode % 10 == 0)
+
+Gymnasium's own classes encode with MoviePy, which installs an ffmpeg and an older Pillow.
+"""
 
 from __future__ import annotations
 
 import atexit
+import inspect
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import gymnasium
+from gymnasium.error import DependencyNotInstalled
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder
-from isaacgymenvs_lite.rendering.video import check_encoder
-from isaacgymenvs_lite.viewers.video_capture import make_video_folder
-from isaacgymenvs_lite.viewers.video_writer import VideoJob, VideoWriter
-from isaacgymenvs_lite.wrappers.record_video import is_cube_or_thousandth
+from isaacgymenvs_lite.rendering.video import check_encoder, save_video
+from isaacgymenvs_lite.viewers.videos import VideoWriter, make_video_folder
 
-# Control steps, at most, of a video that lasts as long as an episode.
+# Limit of a video that lasts as long as an episode, in control steps.
 _MAX_LENGTH = 10_000
 
 
@@ -25,8 +33,7 @@ class TaskVideo:
     """Records videos of environment 0 of a task, and passes all other calls to the task.
 
     It replaces the wrapper of gym 0.2x in scripts of IsaacGymEnvs, where a step returns batches of
-    four values (gymnasium's wrapper expects five). A step copies the state of one environment; a
-    thread draws and encodes it.
+    four values (gymnasium's wrapper expects five). A thread draws and encodes.
 
     Args:
         env: what `isaacgymenvs_lite.make` returns.
@@ -36,15 +43,12 @@ class TaskVideo:
         step_trigger: called with the number of steps made; True begins a video
             `<name_prefix>-step-<number>.mp4`. Without any trigger: episodes 0, 1, 8, 27, ..., 729,
             then every thousandth.
-        video_length: steps of a video, which may go over the ends of episodes; 0: as long as the
-            episode of environment 0.
-        name_prefix: of the files. A file that exists already stays; the new one gets a number
-            behind its name.
+        video_length: steps of a video; 0: as long as the episode of environment 0.
+        name_prefix: of the files; no existing file is overwritten.
 
     Raises:
         ConfigError: both triggers, or a folder that cannot be written.
         RenderingError: this machine cannot draw.
-        MissingPackageError: PyAV is not installed.
     """
 
     def __init__(
@@ -133,4 +137,41 @@ class TaskVideo:
     def _finish(self) -> None:
         recorder, self._recorder = self._recorder, None
         if recorder is not None and self._recorded > 0:
-            self._video_writer.make(VideoJob.from_recording(self.unwrapped, recorder, self._path))
+            self._video_writer.make(self.unwrapped, recorder, self._path)
+
+
+class _EncodedByPyAV:
+    """Replaces the start and the end of a recording in Gymnasium's classes."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        check_encoder()
+        given = inspect.signature(super().__init__).bind(*args, **kwargs).arguments
+        if given.get("episode_trigger") is None and given.get("step_trigger") is None:
+            # Gymnasium's own is in a module that imports MoviePy.
+            kwargs["episode_trigger"] = is_cube_or_thousandth
+        with suppress(DependencyNotInstalled):  # raised at the end, when all else is done
+            super().__init__(*args, **kwargs)
+
+    def stop_recording(self: Any) -> None:
+        """Write the recorded pictures; without any there is no file."""
+        if self.recorded_frames:
+            path = Path(self.video_folder, f"{self._video_name}.mp4")
+            save_video(path, self.recorded_frames, self.frames_per_sec)
+        self.recorded_frames = []
+        self.recording = False
+        self._video_name = None
+
+
+def is_cube_or_thousandth(episode: int) -> bool:
+    """Whether an episode is recorded by default: 0, 1, 8, ..., 729, and each 1000th."""
+    if episode >= 1000:
+        return episode % 1000 == 0
+    return round(episode ** (1 / 3)) ** 3 == episode
+
+
+class RecordVideo(_EncodedByPyAV, gymnasium.wrappers.RecordVideo):
+    """`gymnasium.wrappers.RecordVideo` without MoviePy, with the same arguments."""
+
+
+class RecordVectorVideo(_EncodedByPyAV, gymnasium.wrappers.vector.RecordVideo):
+    """`gymnasium.wrappers.vector.RecordVideo` without MoviePy: all environments in one picture."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from isaacgymenvs_lite.checkpoints import shipped
+from isaacgymenvs_lite import paths
 from tests.tiny import CONFIG, TINY_AMP, train_in
 
 _TINY = (
@@ -28,8 +28,8 @@ def full_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def shipped_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder in place of assets/policies."""
-    monkeypatch.setattr(shipped, "assets_dir", lambda: tmp_path / "assets")
-    folder = shipped.shipped_policies_dir()
+    monkeypatch.setattr(paths, "shipped_policies_dir", lambda: tmp_path / "assets" / "policies")
+    folder = paths.shipped_policies_dir()
     folder.mkdir(parents=True)
     return folder
 

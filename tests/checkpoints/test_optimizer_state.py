@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from isaacgymenvs_lite.checkpoints.optimizer_state import fit_optimizer_state
+from isaacgymenvs_lite.checkpoints.files import fit_optimizer_state
 from isaacgymenvs_lite.errors import CheckpointError
 
 

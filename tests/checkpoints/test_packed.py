@@ -10,12 +10,12 @@ from torch import Tensor
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 from isaacgymenvs_lite.checkpoints.packed import pack_policy, read_policy_info
 from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
 from isaacgymenvs_lite.motion.loader import shipped_robot_motions_dir
+from isaacgymenvs_lite.paths import shipped_policies
 from isaacgymenvs_lite.runner import load_player
 
 

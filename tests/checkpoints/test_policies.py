@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.commands.policies import main
+from isaacgymenvs_lite.paths import shipped_policies
 
 
 def test_a_checkpoint_is_packed(full_checkpoint, shipped_dir, caplog):

@@ -82,7 +82,7 @@ def test_a_run_that_began_with_a_policy_is_played_as_it(tiny):
     assert "++task.env.localRootObs" in keys  # differ from the files
     assert "++train.params.network.mlp.units" in keys
     assert "++task.env.controlFrequencyInv" not in keys
-    command = TypedCommand(("train.py",), tuple(typed)).after(words)
+    command = TypedCommand(("train.py",), (*words, *typed))
     hint = shlex.split(command.play("HumanoidAMP", Path("x.pth")))
     cfg = compose([word for word in hint[1:] if not word.startswith("checkpoint=")])
     trained = compose(complete_arguments(typed))

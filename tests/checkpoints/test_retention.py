@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from isaacgymenvs_lite.checkpoints.retention import Retention
+from isaacgymenvs_lite.checkpoints.files import Retention
 
 
 def write(folder: Path, name: str) -> Path:

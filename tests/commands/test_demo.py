@@ -15,7 +15,7 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from isaacgymenvs_lite.checkpoints import shipped
+from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.checkpoints.packed import pack_policy
 from isaacgymenvs_lite.commands import demo
 from isaacgymenvs_lite.commands.demo import DemoSettings, run_demo
@@ -43,7 +43,7 @@ def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def policies(assets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shipped, "assets_dir", lambda: assets)
+    monkeypatch.setattr(paths, "shipped_policies_dir", lambda: assets / "policies")
 
 
 @pytest.fixture
@@ -99,7 +99,7 @@ def pack_skills(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[st
         run(compose([f"task={task}", "task.env.motion_file=stand", *words]))
         (checkpoint,) = tmp_path.glob(f"runs/*/nn/{task}.pth")
         pack_policy(checkpoint, "skills", folder=tmp_path / "assets" / "policies")
-        monkeypatch.setattr(shipped, "assets_dir", lambda: tmp_path / "assets")
+        monkeypatch.setattr(paths, "shipped_policies_dir", lambda: tmp_path / "assets" / "policies")
 
     return pack
 
@@ -150,7 +150,7 @@ def test_all_leaves_out_a_policy_whose_clip_is_not_installed(assets, tmp_path, m
     (checkpoint,) = assets.parent.glob("runs/*/nn/HumanoidAMP.pth")
     for name, clip in (("flip", "deepmimic:backflip"), ("walk", "walk")):
         pack_policy(checkpoint, name, clip, folder=tmp_path / "assets" / "policies")
-    monkeypatch.setattr(shipped, "assets_dir", lambda: tmp_path / "assets")
+    monkeypatch.setattr(paths, "shipped_policies_dir", lambda: tmp_path / "assets" / "policies")
     monkeypatch.setattr(deepmimic, "_PACKAGE", "no_such_package")
     with caplog.at_level(logging.INFO):
         assert run_demo(DemoSettings(out=str(tmp_path), seconds=0.1)) == [tmp_path / "walk.mp4"]
@@ -164,7 +164,7 @@ def test_all_leaves_out_a_policy_whose_clip_is_not_installed(assets, tmp_path, m
 def test_a_classic_task_is_shown_in_three_environments(tmp_path, monkeypatch, caplog):
     run_folder = train_in(tmp_path, ["task=Cartpole", *TINY_PPO, "max_iterations=1"])
     pack_policy(run_folder / "nn" / "Cartpole.pth", "pole", folder=tmp_path / "assets/policies")
-    monkeypatch.setattr(shipped, "assets_dir", lambda: tmp_path / "assets")
+    monkeypatch.setattr(paths, "shipped_policies_dir", lambda: tmp_path / "assets" / "policies")
     performance = demo.perform("pole", 0.2)
     assert [track.shape for track in performance.tracks] == [(12, 2)] * 3
     assert performance.labels == ()
@@ -200,6 +200,6 @@ def test_a_mistake_is_refused_before_the_play(
 
 
 def test_without_policies_the_demo_says_how_to_make_one(monkeypatch, tmp_path):
-    monkeypatch.setattr(shipped, "assets_dir", lambda: tmp_path)
+    monkeypatch.setattr(paths, "shipped_policies_dir", lambda: tmp_path / "policies")
     with pytest.raises(ConfigError, match=r"no policy in .*pack checkpoint="):
         run_demo(DemoSettings())

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from isaacgymenvs_lite.config.checkouts import (
+from isaacgymenvs_lite.config.staging import (
+    _task_of_ase_file,
+    _train_file_beside,
     checkout_of,
     clip_folders,
     model_folders,
-    task_of_ase_file,
-    train_file_beside,
 )
 
 
@@ -51,18 +51,18 @@ def test_models_below_the_root_that_the_file_names(tmp_path: Path) -> None:
 
 def test_the_train_file_of_a_task_file(tmp_path: Path) -> None:
     task = _made(tmp_path / "cfg/task/Mine.yaml")
-    assert train_file_beside(task) is None
+    assert _train_file_beside(task) is None
     train = _made(tmp_path / "cfg/train/MinePPO.yaml")
-    assert train_file_beside(task) == train
+    assert _train_file_beside(task) == train
     # Not of a file that merely lies somewhere.
-    assert train_file_beside(_made(tmp_path / "cfg/other/Mine.yaml")) is None
+    assert _train_file_beside(_made(tmp_path / "cfg/other/Mine.yaml")) is None
 
 
 def test_tasks_of_ases_files_by_their_names() -> None:
     folder = Path("/ase/ase/data/cfg")
     found = {
-        name: task_of_ase_file(folder / f"{name}.yaml")
+        name: _task_of_ase_file(folder / f"{name}.yaml")
         for name in ("humanoid", "humanoid_sword_shield_strike", "humanoid_ase_getup")
     }
     assert list(found.values()) == ["HumanoidASE", "HumanoidStrike", "HumanoidASEGetup"]
-    assert task_of_ase_file(Path("/fork/cfg/task/humanoid.yaml")) is None
+    assert _task_of_ase_file(Path("/fork/cfg/task/humanoid.yaml")) is None

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from isaacgymenvs_lite.config.devices import allow_cpu_fallback, check_device, check_device_name
+from isaacgymenvs_lite.config.launch import allow_cpu_fallback, check_device, check_device_name
 from isaacgymenvs_lite.errors import DeviceError
 
 

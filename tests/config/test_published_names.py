@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 import isaacgymenvs_lite
-from isaacgymenvs_lite.config.compose import compose, compose_task
-from isaacgymenvs_lite.config.published_names import longest_task, missing_task, task_in_name
+from isaacgymenvs_lite.commands.check import longest_task, task_in_name
+from isaacgymenvs_lite.config.compose import compose, compose_task, missing_task
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.tasks import find_task
 

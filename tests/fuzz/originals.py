@@ -17,7 +17,6 @@ from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 from isaacgymenvs_lite.checkpoints.packed import read_policy_info
 from isaacgymenvs_lite.checkpoints.run_config import read_run_config
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.commands.check import describe
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.motion.clip import JointClip
@@ -30,6 +29,7 @@ from isaacgymenvs_lite.motion.loader import load_clips, shipped_motions_dir
 from isaacgymenvs_lite.motion.retargeting.bvh import read_bvh
 from isaacgymenvs_lite.motion.retargeting.robot_mapping import load_robot_mapping
 from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
+from isaacgymenvs_lite.paths import shipped_policies
 from isaacgymenvs_lite.robots.load import load_robot
 from tests.robots.texts import TETRAHEDRON, mjcf, urdf
 

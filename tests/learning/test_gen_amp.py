@@ -377,7 +377,7 @@ def test_a_player_acts_as_the_agent_under_each_kind_of_latent(make, make_runner,
         (np.ones((0, 6)), r"shape \(0, 6\)"),
         (np.zeros((2, 6)), "a row is zero"),
         (np.full((2, 6), np.nan), "not finite"),
-        (np.array(["a"] * 6), "array of numbers"),
+        (np.array(["a"] * 6), "expected random, interpolate or a .npy file"),
     ],
 )
 def test_latents_that_cannot_be_used(array, words, make_runner, tmp_path):

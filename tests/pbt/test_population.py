@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from isaacgymenvs_lite.config.pbt_settings import PBTSettings
-from isaacgymenvs_lite.pbt.population import find_replacement, num_needed
+from isaacgymenvs_lite.pbt.observer import find_replacement, num_needed
 
 EIGHT = PBTSettings(enabled=True, num_policies=8, policy_idx=7)
 # The best three are 0, 1, 2; the last is the worst.

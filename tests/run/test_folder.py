@@ -17,8 +17,7 @@ from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint, resolve_checkpoint, save_checkpoint
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.run.folder import RunFolder
-from isaacgymenvs_lite.run.lock import LOCK_FILE, FolderInUseError
+from isaacgymenvs_lite.run.folder import LOCK_FILE, FolderInUseError, RunFolder
 
 OpenRun = Callable[..., RunFolder]
 
@@ -142,22 +141,6 @@ def test_a_folder_with_a_link_below_it_is_refused(open_run, tmp_path):
             open_run(str(number))
         assert (elsewhere / ".other.pth.17.partial").exists()
         shutil.rmtree(elsewhere)
-
-
-# --- made again --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("deleted", [".", "..", "nn", "config.yaml"])
-def test_what_is_deleted_is_made_again_at_the_next_save(deleted, open_run, tmp_path, caplog):
-    folder = open_run()
-    config = (folder.path / "config.yaml").read_text()
-    for epoch in range(3):
-        gone = folder.path / deleted
-        gone.unlink() if gone.is_file() else shutil.rmtree(gone.resolve())
-        assert save(folder, epoch=epoch) == folder.checkpoints / "walk.pth"
-        assert load_checkpoint(folder.checkpoints / "walk.pth")["epoch"] == epoch
-        assert (folder.path / "config.yaml").read_text() == config
-    assert caplog.text.count("made again") == (0 if deleted == "config.yaml" else 3)
 
 
 # --- rescued -----------------------------------------------------------------------------------

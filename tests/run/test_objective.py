@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from isaacgymenvs_lite.errors import SweepError
-from isaacgymenvs_lite.run.objective import MEAN_REWARD, POSE_ERROR, objective_of
+from isaacgymenvs_lite.run.observers import MEAN_REWARD, POSE_ERROR, objective_of
 
 
 def test_the_pose_error_counts_where_only_clips_are_learned():

@@ -6,7 +6,7 @@ import torch
 from rl_games.common.algo_observer import AlgoObserver
 
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.config.launch import read_config
 from isaacgymenvs_lite.run.diagnostics import DiagnosticsObserver
 from isaacgymenvs_lite.run.observers import MultiObserver, TrainingObservers
 from isaacgymenvs_lite.run.stop_request import StopRequest
@@ -45,7 +45,7 @@ def test_the_advice_depends_on_whether_episodes_keep_to_their_clip():
         (["task=Ant"], []),
     ]:
         cfg = compose([*words, "rl_device=cpu"])
-        observers = TrainingObservers(cfg, check_config(cfg), "run", None, 300, StopRequest())
+        observers = TrainingObservers(read_config(cfg), "run", None, 300, StopRequest())
         (advice,) = (one for one in observers.observers if isinstance(one, DiagnosticsObserver))
         advice.after_init(types.SimpleNamespace(config={}))
         assert advice.clip_limits == limits

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.report.scalars import read_scalars
-from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver
+from isaacgymenvs_lite.run.metrics import TaskScalarsObserver
 from tests.tiny import TINY_PPO, train_in
 
 

@@ -111,6 +111,7 @@ def test_episodes_start_at_scaled_default_angles_with_commands(make_task) -> Non
 
 
 def test_a_robot_stands_on_its_feet_when_it_does_nothing(make_task) -> None:
+    torch.manual_seed(0)
     task = make_task("task=Anymal", "task.env.learn.episodeLength_s=500")
     task.reset()
     for _ in range(200):

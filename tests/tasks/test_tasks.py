@@ -14,7 +14,7 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.tasks import isaacgym_task_map
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
-from isaacgymenvs_lite.tasks.base.vec_task import Done, ResetMode, VecTask
+from isaacgymenvs_lite.tasks.base.vec_task import Done, VecTask
 from tests.tiny import composed
 
 NUM_ENVS = 5
@@ -59,7 +59,7 @@ def _random_steps(task: VecTask, count: int) -> Iterator[tuple]:
     for _ in range(count):
         actions = 2.0 * torch.rand(task.num_envs, task.num_actions, generator=generator) - 1.0
         yield task.step(actions)
-        if task.reset_mode is ResetMode.ON_REQUEST:
+        if task.agents_call_reset_done:
             task.reset_done()
 
 

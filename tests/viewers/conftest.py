@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
-from isaacgymenvs_lite.viewers import video_writer
+from isaacgymenvs_lite.viewers import videos
 from tests.tiny import ONE_THREAD, composed
 
 
 @pytest.fixture
 def small_pictures(monkeypatch) -> None:
-    monkeypatch.setattr(video_writer, "SINGLE_SIZE", (160, 120))
-    monkeypatch.setattr(video_writer, "TILE_SIZE", (80, 60))
+    monkeypatch.setattr(videos, "SINGLE_SIZE", (160, 120))
+    monkeypatch.setattr(videos, "TILE_SIZE", (80, 60))
 
 
 @pytest.fixture

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 import torch
 
+from isaacgymenvs_lite.rendering.markers import RobotOverlay
 from isaacgymenvs_lite.rendering.tracks import PoseReader
-from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay, RobotOverlay
+from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay
 
 
 @pytest.fixture

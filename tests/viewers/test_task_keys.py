@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
-from isaacgymenvs_lite.viewers.task_keys import KEY_NAMES, TaskKeys
+from isaacgymenvs_lite.viewers.window import KEY_NAMES, press_key
 from tests.viewers.conftest import KeyedTask
 
 
@@ -16,7 +16,6 @@ def test_the_names_are_those_that_tasks_expect():
 def test_other_names_are_dropped():
     for name in ["", "A", "é", "up\n", "escape", "upup", "__class__", "\ufffd"]:
         task = KeyedTask()
-        keys = TaskKeys(task)
-        keys.press(name)
-        keys.press("up")
+        press_key(task, name)
+        press_key(task, "up")
         assert task.pressed == ["up"]

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
-from isaacgymenvs_lite.viewers.video_capture import VideoCapture
-from isaacgymenvs_lite.viewers.video_writer import VideoWriter
+from isaacgymenvs_lite.viewers.videos import VideoCapture, VideoWriter
 from tests.viewers.conftest import assert_is_a_video, frames_of
 
 # One task of each kind: a fixed base, rough ground, loose objects, a humanoid, a robot.
@@ -20,7 +18,7 @@ def play(env, capture: VideoCapture, num_steps: int) -> None:
     generator = torch.Generator().manual_seed(1)
     env.reset()
     for _ in range(num_steps):
-        if env.reset_mode is ResetMode.ON_REQUEST:
+        if env.agents_call_reset_done:
             env.reset_done()
         env.step(2.0 * torch.rand(env.num_envs, env.num_actions, generator=generator) - 1.0)
     capture.close()

@@ -17,8 +17,8 @@ pytest.importorskip("mujoco.studio.web_viewer")
 from mujoco.studio import messages
 
 from isaacgymenvs_lite.rendering.markers import Sphere
-from isaacgymenvs_lite.viewers.task_keys import KEY_NAMES
 from isaacgymenvs_lite.viewers.web_server import KEYS, BesideSnapshot, LinkEndpoint, PagePlugin
+from isaacgymenvs_lite.viewers.window import KEY_NAMES
 
 XML = '<mujoco><worldbody><body><freejoint/><geom size="{}"/></body></worldbody></mujoco>'
 

@@ -10,29 +10,28 @@ from pathlib import Path
 import pytest
 
 from isaacgymenvs_lite.workflows.__main__ import main
-from isaacgymenvs_lite.workflows.library import LIBRARIES, Library
+from isaacgymenvs_lite.workflows.library import LIBRARIES
 
 Command = Callable[..., str]
 
 
 @pytest.fixture(params=sorted(LIBRARIES))
-def library(request: pytest.FixtureRequest) -> Library:
+def library(request: pytest.FixtureRequest) -> str:
     """Each library that is installed."""
-    found = LIBRARIES[request.param]
-    if importlib.util.find_spec(found.package) is None:
-        pytest.skip(f"{found.package} is not installed")
-    return found
+    if importlib.util.find_spec(LIBRARIES[request.param]) is None:
+        pytest.skip(f"{request.param} is not installed")
+    return request.param
 
 
 def _commanding(verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Command:
     """Return a runner of a verb that adds task and logs, unless the words have them."""
     defaults = {"task": "Cartpole", "logs": str(tmp_path / "logs")}
 
-    def run(library: Library, *words: str) -> str:
+    def run(library: str, *words: str) -> str:
         given = {word.lstrip("-").partition("=")[0] for word in words}
         added = [f"{key}={value}" for key, value in defaults.items() if key not in given]
         capsys.readouterr()
-        assert main([library.name, verb, *added, *words]) == 0
+        assert main([library, verb, *added, *words]) == 0
         return capsys.readouterr().out
 
     return run
@@ -56,7 +55,7 @@ def run_play(tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog) -> Comm
 def fails(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """Return `fails(run, library, *words)`, which returns the one line of a user's mistake."""
 
-    def run_wrong(run: Command, library: Library, *words: str) -> str:
+    def run_wrong(run: Command, library: str, *words: str) -> str:
         with pytest.raises(SystemExit) as stopped:
             run(library, *words)
         assert stopped.value.code == 2

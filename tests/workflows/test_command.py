@@ -8,20 +8,14 @@ import sys
 import pytest
 
 from isaacgymenvs_lite.errors import UserError
-from isaacgymenvs_lite.workflows.__main__ import VERBS, main
-from isaacgymenvs_lite.workflows.command import (
-    Command,
-    PlaySettings,
-    TrainSettings,
-    make_parser,
-    read_command,
-)
+from isaacgymenvs_lite.workflows.__main__ import VERBS, main, make_parser, read_command
 from isaacgymenvs_lite.workflows.library import LIBRARIES
+from isaacgymenvs_lite.workflows.training import PlaySettings, TrainSettings
 
 
-def read(verb: str, *words: str) -> Command:
+def read(verb: str, *words: str) -> tuple:
     settings = {"train": TrainSettings, "play": PlaySettings}[verb]
-    return read_command(settings, make_parser(LIBRARIES["sb3"], verb).parse_intermixed_args(words))
+    return read_command(settings, make_parser("sb3", verb).parse_intermixed_args(words))
 
 
 def test_options_are_synonyms_of_keys():
@@ -36,7 +30,7 @@ def test_options_are_synonyms_of_keys():
         ),
         ("play", "--task Ant --use_last_checkpoint", "task=Ant checkpoint=last"),
         ("play", "--task Ant --real-time --livestream 1", "task=Ant real_time=True viewer=web"),
-        ("train", "--task Ant --livestream 0 --enable_cameras --kit_args x", "task=Ant"),
+        ("train", "--task Ant --livestream 0 --enable_cameras --kit_args x", "task=Ant viewer="),
         (
             "play",
             "--task IsaacGymEnvsLite/Ant-v0 agent.ppo.gamma=0.9 task.env.x=1",
@@ -48,12 +42,12 @@ def test_options_are_synonyms_of_keys():
 
 def test_a_key_belongs_to_the_command_the_agent_or_the_task():
     words = ("task=IsaacGymEnvsLite/Ant-v0", "max_iterations=3", "logs=2026", "agent=my.yaml")
-    command = read("train", *words, "agent.ppo.gamma=0.9", "+task.env.x=1", "num_envs=8", "seed=2")
-    assert command.settings == TrainSettings(
-        task="Ant", max_iterations=3, logs="2026", agent="my.yaml"
+    settings, task_words, agent_words = read(
+        "train", *words, "agent.ppo.gamma=0.9", "+task.env.x=1", "num_envs=8", "seed=2"
     )
-    assert command.agent_words == ("agent.ppo.gamma=0.9",)
-    assert command.task_words == ("+task.env.x=1", "num_envs=8", "seed=2")
+    assert settings == TrainSettings(task="Ant", max_iterations=3, logs="2026", agent="my.yaml")
+    assert agent_words == ["agent.ppo.gamma=0.9"]
+    assert task_words == ["+task.env.x=1", "num_envs=8", "seed=2"]
 
 
 def test_the_last_word_of_a_key_wins():
@@ -73,7 +67,7 @@ def test_the_last_word_of_a_key_wins():
             ("capture_video=True", "capture_video_len=200", f"capture_video_freq={2**53}"),
         ),
     ]:
-        assert read(verb, "task=Ant", *words.split()).task_words == expected
+        assert read(verb, "task=Ant", *words.split())[1] == list(expected)
 
 
 def test_a_wrong_key_is_one_line():
@@ -82,7 +76,7 @@ def test_a_wrong_key_is_one_line():
         ("train", "task=Ant max_iteration=3", "(did you mean 'max_iterations'?)"),
         ("train", "task=Ant real_time=True", "real_time=True: is no setting of another library's"),
         ("train", "task=Ant Cartpole", "Cartpole: is no setting of another library's agent"),
-        ("train", "task=Ant experiment=mine", "use logs=FOLDER"),
+        ("train", "task=Ant experiment=mine", "expected agent, checkpoint, log_interval, logs,"),
         ("train", "task=Ant logs={", "logs={: a value is not valid YAML"),
     ]:
         with pytest.raises(UserError) as caught:
@@ -93,9 +87,7 @@ def test_a_wrong_key_is_one_line():
 
 def test_other_options_are_refused_in_one_line(capsys):
     for words, message in [
-        ("--distributed", "--distributed: a training is one process"),
-        ("--visualizer kit", "--visualizer: use headless=False"),
-        ("--resume", "--resume: use --checkpoint FILE"),
+        ("--distributed", "unrecognized arguments: --distributed"),
         ("--livestream 7", "--livestream: invalid choice"),
         ("--max_iteratons 3", "--max_iteratons 3 (did you mean '--max_i"),
     ]:
@@ -127,8 +119,6 @@ def test_a_library_or_a_verb_that_does_not_exist_is_one_line(capsys):
         ("sb3 trian task=Ant", "unknown verb 'trian' (did you mean 'train'?); choices: play"),
         ("sb3", "unknown verb ''; choices: play, train"),
     ]:
-        with pytest.raises(SystemExit) as ended:
-            main(words.split())
-        assert ended.value.code == 2
+        assert main(words.split()) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith(f"error: {message}")

@@ -8,7 +8,6 @@ import pytest
 import torch
 from rl_games.common import env_configurations
 
-from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
 
@@ -17,7 +16,6 @@ class StubTask:
 
     num_agents = 2
     num_states = 0
-    reset_mode = ResetMode.AFTER_PHYSICS
     observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (5,), np.float32)
     action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
 
@@ -92,7 +90,7 @@ def test_calls_pass_through_unchanged(make_env):
 
 
 class StubRequestTask(StubTask):
-    reset_mode = ResetMode.ON_REQUEST
+    agents_call_reset_done = True
 
 
 def test_agents_that_never_call_reset_done_get_resets_within_the_step(make_env):
@@ -102,11 +100,9 @@ def test_agents_that_never_call_reset_done_get_resets_within_the_step(make_env):
     assert torch.equal(obs["obs"], torch.zeros(2, 5))  # the next episode's
 
 
-def test_the_first_reset_done_chooses_resets_on_request(make_env):
+def test_an_agent_that_calls_reset_done_gets_the_last_observations(make_env):
     env = make_env(StubRequestTask)
-    assert env.reset_mode is ResetMode.SAME_STEP
     env.reset_done()
-    assert env.reset_mode is ResetMode.ON_REQUEST
     obs, *_ = env.step(torch.ones(2, 3))
     assert [name for name, _ in env.env.calls] == ["reset_done", "step"]
     assert torch.equal(obs["obs"], torch.full((2, 3), 2.0))

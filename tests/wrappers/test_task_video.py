@@ -16,7 +16,7 @@ pytestmark = pytest.mark.usefixtures("gl")
 
 @pytest.fixture(autouse=True)
 def _small_pictures(monkeypatch) -> None:
-    monkeypatch.setattr("isaacgymenvs_lite.viewers.video_writer.SINGLE_SIZE", (64, 48))
+    monkeypatch.setattr("isaacgymenvs_lite.viewers.videos.SINGLE_SIZE", (64, 48))
 
 
 def _lengths(folder: Path) -> dict[str, int]:

@@ -20,7 +20,6 @@ from torch import Tensor
 from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.checkpoints.llc_reference import SHIPPED_LLC, make_reference
 from isaacgymenvs_lite.checkpoints.packed import with_packed_settings
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.rl_games_settings import check_network, scale_units
 from isaacgymenvs_lite.config.train_files import read_train_file
 from isaacgymenvs_lite.env_interface import HierarchyEnv
@@ -37,7 +36,7 @@ from isaacgymenvs_lite.learning.modules.discriminator import (
 from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
 from isaacgymenvs_lite.learning.modules.skill_encoder import SkillEncoder
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
-from isaacgymenvs_lite.paths import user_path
+from isaacgymenvs_lite.paths import shipped_policies, user_path
 from isaacgymenvs_lite.typed_command import package_command
 
 _RL_DEVICES = ("cpu", "cuda:0")

@@ -18,7 +18,6 @@ from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
 from isaacgymenvs_lite.tasks.amp.reference_motions import ReferenceMotions
 from isaacgymenvs_lite.tasks.base.humanoid_observations import heading_cos_sin
-from isaacgymenvs_lite.tasks.goals.planar import xy_in_heading_frame
 from isaacgymenvs_lite.utils.state import Stateful
 
 PHASES_PER_STEP = 2
@@ -121,17 +120,22 @@ class ClipPhases(Stateful):
         tempo_share: how much faster, and slower, the clip may be shown, as a share; 0: anyhow.
             While episodes are short they may be slower, see `min_tempo`.
         final_limit_m: how far it may be once episodes are long; None: `limit_m`.
+
+    Attributes:
+        repeats: (M,) bool, the end of the clip is near its start.
+        is_over: (N,) bool, the episode has come to the end of a clip that does not repeat.
     """
 
     stored = (
         "_clip",
         "_phase",
-        "_is_over",
+        "is_over",
         "_trail",
         "_passed",
         "_num_followed",
         "_mean_steps",
         "_longest_mean",
+        "_eased",
     )
 
     def __init__(
@@ -152,30 +156,41 @@ class ClipPhases(Stateful):
         self._lengths = torch.tensor([len(clip) for clip in clips], device=device)
         self._firsts = self._lengths.cumsum(0) - self._lengths
         ends_m = torch.stack([distance_up_to_heading_m(clip[-1], clip[0]) for clip in clips])
-        self._repeats = ends_m < limit_m
+        self.repeats = ends_m < limit_m
         self._advances = torch.tensor(_ADVANCES, device=device)
         self._costs_m = _OFF_TEMPO * limit_m * (self._advances - PHASES_PER_STEP).abs()
         self._phases_per_s = PHASES_PER_STEP / dt_s
         self._clip = torch.zeros(num_envs, dtype=torch.int64, device=device)
         self._phase = torch.full((num_envs,), _NONE, device=device)
-        self._is_over = torch.zeros(num_envs, dtype=torch.bool, device=device)
+        self.is_over = torch.zeros(num_envs, dtype=torch.bool, device=device)
         self._travel_share = travel_share
-        self._travels = self._travels_of(root_states, dt_s) if travel_share > 0.0 else None
+        steps = round(COMPARED_S / dt_s)
+        self._travels: Tensor | None = None
+        if travel_share > 0.0:
+            travels = [
+                travel_through(states, PHASES_PER_STEP * steps, repeats)
+                for states, repeats in zip(root_states, self.repeats.tolist(), strict=True)
+            ]
+            self._travels = torch.cat(travels)
         # Where the roots were in the control steps of the last COMPARED_S, (T + 1, N, 2) m, and by
         # how many phases each of these steps moved on, (T, N).
-        steps = round(COMPARED_S / dt_s)
         self._trail = torch.zeros(
             0 if self._travels is None else steps + 1, num_envs, 2, device=device
         )
         self._passed = self._clip.new_zeros(steps if tempo_share > 0.0 else 0, num_envs)
         self._max_tempo = 1.0 + tempo_share
-        first_s, last_s = (self._share_of_eased_time(clips, dt_s) * time_s for time_s in _EASED_S)
-        first = round(first_s / dt_s)
-        self._eased_steps = first, max(first + 1, round(last_s / dt_s))
+        # Episodes that end with a clip and start anywhere in it last half of it on average.
+        half_s = 0.5 * max(len(clip) for clip in clips) * dt_s / PHASES_PER_STEP
+        share = 1.0 if self.repeats.any() else min(1.0, half_s / _EASED_S[-1])
+        first, last = (round(share * time_s / dt_s) for time_s in _EASED_S)
+        self._eased_steps = first, max(first + 1, last)
         self._num_followed = torch.zeros(num_envs, dtype=torch.int64, device=device)
         # Of the episodes that have ended, and the longest that it has been.
         self._mean_steps = torch.zeros((), device=device)
         self._longest_mean = torch.zeros((), device=device)
+        # How much of the wide limits is left: 1 while the mean episode lasts a second, 0 once it
+        # has lasted three, or half of a clip that does not repeat. It never rises again.
+        self._eased = 1.0
 
     @classmethod
     def of_motions(
@@ -217,45 +232,20 @@ class ClipPhases(Stateful):
             min(limit_m, final_limit_m),
         )
 
-    @property
-    def repeats(self) -> Tensor:
-        """Return (M,) bool: the end of the clip is near its start."""
-        return self._repeats
-
-    def _travels_of(self, root_states: Sequence[Tensor], dt_s: float) -> Tensor:
-        num_phases = PHASES_PER_STEP * round(COMPARED_S / dt_s)
-        return torch.cat(
-            [
-                travel_through(states, num_phases, repeats)
-                for states, repeats in zip(root_states, self._repeats.tolist(), strict=True)
-            ]
-        )
-
-    def _share_of_eased_time(self, clips: Sequence[Tensor], dt_s: float) -> float:
-        """Return which share of `_EASED_S` counts: less if episodes end with a short clip.
-
-        Those that start anywhere in it last half of it on average.
-        """
-        if self._repeats.any():
-            return 1.0
-        longest_s = max(len(clip) for clip in clips) * dt_s / PHASES_PER_STEP
-        return min(1.0, 0.5 * longest_s / _EASED_S[-1])
-
     def start(self, env_ids: Tensor, clips: Tensor, times_s: Tensor) -> None:
         """Follow environments (n,) through clips (n,) from times (n,) of them on."""
         self._clip[env_ids] = clips
         self._phase[env_ids] = (times_s * self._phases_per_s).round().long()
-        self._is_over[env_ids] = False
-        self._average_durations(self._num_followed[env_ids])
-        self._num_followed[env_ids] = 0
-
-    def _average_durations(self, steps: Tensor) -> None:
-        """Update the mean duration with episodes that ended after `steps` (n,); 0: none ended."""
+        self.is_over[env_ids] = False
+        steps = self._num_followed[env_ids]
         ended = steps[steps > 0].float()
         if len(ended) > 0:
             weight = min(1.0, len(ended) / (_AVERAGED_EPISODES * len(self._phase)))
             self._mean_steps.lerp_(ended.mean(), weight)
             torch.maximum(self._longest_mean, self._mean_steps, out=self._longest_mean)
+            first, last = self._eased_steps
+            self._eased = min(1.0, max(0.0, (last - self._longest_mean.item()) / (last - first)))
+        self._num_followed[env_ids] = 0
 
     def stop(self, env_ids: Tensor) -> None:
         """Follow environments (n,) no more."""
@@ -287,7 +277,7 @@ class ClipPhases(Stateful):
         """
         lengths = self._lengths[self._clip].unsqueeze(1)
         phases = self._phase.unsqueeze(1) + self._advances
-        phases = torch.where(self._repeats[self._clip].unsqueeze(1), phases % lengths, phases)
+        phases = torch.where(self.repeats[self._clip].unsqueeze(1), phases % lengths, phases)
         rows = self._firsts[self._clip].unsqueeze(1) + phases.clamp(max=lengths - 1)
         away_m = distance_up_to_heading_m(points.unsqueeze(1), self._points[rows])
         nearest = (away_m + self._costs_m).argmin(dim=1, keepdim=True)
@@ -295,16 +285,13 @@ class ClipPhases(Stateful):
         if len(self._passed) > 0:
             passed = self._advances[nearest.squeeze(1)]
             self._passed.copy_(torch.cat((self._passed[1:], passed[None])))
-        away_m, phase = (rows.gather(1, nearest).squeeze(1) for rows in (away_m, phases))
+        away_m = away_m.gather(1, nearest).squeeze(1)
+        phase = phases.gather(1, nearest).squeeze(1)
         is_followed = self._phase != _NONE
-        self._is_over |= is_followed & (phase >= lengths.squeeze(1))
-        is_followed &= ~self._is_over
+        self.is_over |= is_followed & (phase >= lengths.squeeze(1))
+        is_followed &= ~self.is_over
         self._phase.copy_(torch.where(is_followed, phase, _NONE))
         return torch.where(is_followed, away_m, 0.0)
-
-    def are_over(self) -> Tensor:
-        """Return (N,) bool: the episode has come to the end of a clip that does not repeat."""
-        return self._is_over
 
     def lags_behind(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
         """Return (N,) bool: who got less far than the clip, in its direction, in `COMPARED_S`.
@@ -319,7 +306,9 @@ class ClipPhases(Stateful):
         if self._travels is None:
             return torch.zeros_like(self._phase, dtype=torch.bool)
         self._trail.copy_(torch.cat((self._trail[1:], root_pos[None, :, :2])))
-        travel = xy_in_heading_frame(root_rot, self._trail[-1] - self._trail[0])
+        cos, sin = heading_cos_sin(*root_rot.unbind(-1))
+        x, y = (self._trail[-1] - self._trail[0]).unbind(-1)
+        travel = torch.stack((cos * x + sin * y, cos * y - sin * x), dim=-1)
         expected = self._travels[self._firsts[self._clip] + self._phase.clamp(min=0)]
         expected_m = expected.norm(dim=-1).clamp(min=_TINY)
         along_m = (travel * expected).sum(dim=-1) / expected_m
@@ -342,23 +331,14 @@ class ClipPhases(Stateful):
     def min_tempo(self) -> float:
         """Return the least tempo that an episode may have now, as a share of its clip's.
 
-        It rises from a half to 1 / (1 + `tempo_share`) as episodes get longer, see `_eased`.
+        It rises from a half to 1 / (1 + `tempo_share`) as episodes get longer.
         """
         least = 1.0 / self._max_tempo
-        return least - max(0.0, least - _SLOWEST_TEMPO) * self._eased()
+        return least - max(0.0, least - _SLOWEST_TEMPO) * self._eased
 
     def current_limit_m(self) -> float:
         """Return how far from its clip an episode may be now.
 
-        It comes down from `limit_m` to `final_limit_m` as episodes get longer, see `_eased`.
+        It comes down from `limit_m` to `final_limit_m` as episodes get longer.
         """
-        return self._final_limit_m + (self._limit_m - self._final_limit_m) * self._eased()
-
-    def _eased(self) -> float:
-        """Return how much of the wide limits is left: 1 while the mean episode lasts a second.
-
-        Nothing is left once it has lasted three, or half of a clip that does not repeat. What has
-        gone does not come back.
-        """
-        first, last = self._eased_steps
-        return min(1.0, max(0.0, (last - self._longest_mean.item()) / (last - first)))
+        return self._final_limit_m + (self._limit_m - self._final_limit_m) * self._eased

@@ -24,7 +24,6 @@ from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import (
     HumanoidAMPBase,
 )
 from isaacgymenvs_lite.tasks.amp.reference_motions import ClipStarts, ReferenceMotions
-from isaacgymenvs_lite.tasks.base.history import push_newest
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     compute_humanoid_observations,
     num_humanoid_obs,
@@ -66,8 +65,8 @@ class HumanoidAMP(HumanoidAMPBase):
     follows episodes through their clips.
 
     The AMP observation holds `numAMPObsSteps` control steps, the newest first. The agent calls
-    `reset_done` before each policy step, so that `step` returns the terminal observation, and reads
-    `infos["amp_obs"]` (N, F) and `infos["terminate"]` (N,).
+    `reset_done` before each policy step, and reads `infos["amp_obs"]` (N, F) and
+    `infos["terminate"]` (N,).
 
     Beside the style, a task that derives from it can reward a goal, which the last entries of the
     policy's observation describe.
@@ -112,6 +111,12 @@ class HumanoidAMP(HumanoidAMPBase):
         """Return how many of the last entries of an observation describe the goal."""
         return self.goal.num_task_obs
 
+    def set_sizes(self) -> None:
+        """As the base, and of one step of the AMP observation."""
+        super().set_sizes()
+        offsets, num_keys = self._layout.dof_offsets, len(self.key_body_names())
+        self._num_amp_obs_per_step = num_humanoid_obs(offsets, num_keys, self.amp_obs_as_ase)
+
     def create_sim(self) -> None:
         """As the base, with objects that lose their velocities slowly; load the motions."""
         damp_objects(self._model, self._layout.object_names)
@@ -154,7 +159,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self._amp_obs_buf = torch.zeros(
             self.num_envs,
             self.env_cfg.num_amp_obs_steps,
-            self._num_amp_obs_per_step(),
+            self._num_amp_obs_per_step,
             device=self.device,
         )
         self._phases: ClipPhases | None = None
@@ -206,7 +211,7 @@ class HumanoidAMP(HumanoidAMPBase):
     def compute_time_outs(self) -> Tensor:
         """As the base, and where the clip that an episode ends with is over."""
         time_outs = super().compute_time_outs()
-        return time_outs if self._ending is None else time_outs | self._ending.are_over()
+        return time_outs if self._ending is None else time_outs | self._ending.is_over
 
     @property
     def amp_observation_space(self) -> gymnasium.spaces.Box:
@@ -221,11 +226,7 @@ class HumanoidAMP(HumanoidAMPBase):
     @property
     def num_amp_obs(self) -> int:
         """Numbers in one flattened AMP observation, F."""
-        return self.env_cfg.num_amp_obs_steps * self._num_amp_obs_per_step()
-
-    def _num_amp_obs_per_step(self) -> int:
-        offsets = self._layout.dof_offsets
-        return num_humanoid_obs(offsets, len(self.key_body_names()), self.amp_obs_as_ase)
+        return self.env_cfg.num_amp_obs_steps * self._num_amp_obs_per_step
 
     def _amp_features(self, state: CharacterState) -> Tensor:
         """AMP observations of one step of states as `_character_states` returns them."""
@@ -239,7 +240,7 @@ class HumanoidAMP(HumanoidAMPBase):
         To be called after `compute_observations`.
         """
         # It is the policy's observation of the same state, without the goal.
-        features = self.obs_buf[:, : self._num_amp_obs_per_step()]
+        features = self.obs_buf[:, : self._num_amp_obs_per_step]
         return features if env_ids is None else features.index_select(0, env_ids)
 
     def amp_obs_of(self, env_ids: Tensor) -> Tensor:
@@ -284,8 +285,9 @@ class HumanoidAMP(HumanoidAMPBase):
         if followed is not None and followed.follows_any():
             self._off_clip = followed.are_off(self._character_states(None))
 
-    def _observe(self, env_ids: Tensor | None) -> Tensor:
-        """Return the observations of all environments, or of `env_ids` (n,), with their goals."""
+    @torch.inference_mode()
+    def compute_obs_of(self, env_ids: Tensor | None) -> Tensor:
+        """As the base, with the goals."""
         character = self._observe_character(env_ids)
         if self.goal.num_task_obs == 0:
             return character
@@ -331,14 +333,15 @@ class HumanoidAMP(HumanoidAMPBase):
     def post_physics_step(self) -> None:
         """As the base, then shift the AMP history and publish it, terminal states included."""
         super().post_physics_step()
-        if self._starts.learns_where_episodes_fail:
+        if self._starts.adaptive is not None:
             ended = (self.done_buf != Done.RUNNING) & (self._starts.clips >= 0)
             env_ids = ended.nonzero().flatten()
             failed = self.done_buf[env_ids] == Done.FAILED
             self._starts.count_ended(env_ids, self.progress_buf[env_ids], failed)
-        history = self._amp_obs_buf
-        push_newest(history, self.current_amp_features())
-        self.extras["amp_obs"] = self._for_trainer(history.flatten(1))
+        newest, history = self.current_amp_features().unsqueeze(1), self._amp_obs_buf
+        window = torch.cat((newest, history[:, :-1]), dim=1)
+        history.copy_(window)
+        self.extras["amp_obs"] = window.flatten(1).to(self.rl_device, non_blocking=True)
 
     # --- demonstrations ----------------------------------------------------------------------
 
@@ -413,7 +416,7 @@ class HumanoidAMP(HumanoidAMPBase):
 
     def _observe_clip(self, states: CharacterState) -> Tensor | None:
         """Return what is observed of characters in states of clips; None: clips do not show it."""
-        return self._observe_states(states)
+        return self._amp_features(states)
 
     def windows_of_clips(self) -> list[Tensor]:
         """Return the AMP observations (W, F) of each clip, one for each control step."""

@@ -27,7 +27,6 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.vec_task import (
     ActionScaling,
     Done,
-    ResetMode,
     RobotDescription,
     RobotState,
 )
@@ -69,15 +68,13 @@ class HumanoidAMPBase(MjcfTask):
     Differs from IsaacGymEnvs (each named in docs/amp.md): falls count contact forces in any
     direction; the observation after a reset describes the new state; the default pose is the
     zero pose (the original's crosses the arms in front of the chest).
-
-    Raises:
-        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
     """
 
     settings_class = HumanoidAMPConfig
     default_asset = OWN_ASSET
     actor_name = "humanoid"
-    reset_mode = ResetMode.ON_REQUEST
+    starts_before_physics = True
+    agents_call_reset_done = True
     num_dofs_of_assets: ClassVar[tuple[int, ...]] = (NUM_ACTIONS,)
     """Degrees of freedom of the models that the task can simulate; empty: any number."""
 
@@ -200,28 +197,21 @@ class HumanoidAMPBase(MjcfTask):
         """Return PD targets offset + scale * action (rad), or torques (Nm), (N, D)."""
         return torch.addcmul(self._action_offset, self._action_scale, actions)
 
-    @torch.inference_mode()
     def compute_obs(self) -> Tensor:
-        """See `compute_humanoid_observations`."""
-        return self._observe(None)
+        """Return the observations of all environments."""
+        return self.compute_obs_of(None)
 
     @torch.inference_mode()
-    def compute_obs_of(self, env_ids: Tensor) -> Tensor:
-        """Return the observations of environments (n,) only, which start an episode."""
-        return self._observe(env_ids)
-
-    def _observe(self, env_ids: Tensor | None) -> Tensor:
-        """Return the observations of all environments, or of `env_ids` (n,)."""
+    def compute_obs_of(self, env_ids: Tensor | None) -> Tensor:
+        """Return the observations of environments (n,) that start an episode, or of all."""
         return self._observe_character(env_ids)
 
     def _observe_character(self, env_ids: Tensor | None) -> Tensor:
         """Return what is observed of all characters, or of `env_ids` (n,)."""
-        return self._observe_states(self._character_states(env_ids))
-
-    def _observe_states(self, states: CharacterState) -> Tensor:
-        """Return the observations of any states, see `compute_humanoid_observations`."""
         return compute_humanoid_observations(
-            *states, self.env_cfg.local_root_obs, dof_offsets=self._layout.dof_offsets
+            *self._character_states(env_ids),
+            self.env_cfg.local_root_obs,
+            dof_offsets=self._layout.dof_offsets,
         )
 
     def _character_states(self, env_ids: Tensor | None) -> CharacterState:

@@ -26,10 +26,16 @@ def dof_limits(model: mujoco.MjModel, layout: ModelLayout) -> npt.NDArray[np.flo
 
 def set_actuators(model: mujoco.MjModel, env: HumanoidAMPConfig) -> None:
     """Give a compiled model the kind of actuator and the limits of efforts that the keys name."""
-    if not env.pd_control:
-        _make_torque_actuators(model)
+    if not env.pd_control:  # the control is the torque in Nm; `powerScale` may exceed the efforts
+        model.actuator_gainprm[:, 0] = 1.0
+        model.actuator_biastype[:] = int(mujoco.mjtBias.mjBIAS_NONE)
+        model.actuator_biasprm[:] = 0.0
+        model.actuator_forcelimited[:] = 0
         return
-    _keep_servo_errors(model)
+    # MuJoCo 4 wraps the error of a position servo on a ball joint into +-pi per axis, which it
+    # recognises by gain = -bias exactly. float32's pi is above pi: a full action would turn the
+    # joint backwards. With a bias that is one unit in the last place off nothing is wrapped.
+    model.actuator_biasprm[:, 1] = np.nextafter(model.actuator_biasprm[:, 1], 0.0)
     if not env.enforce_effort_limits:
         model.actuator_forcelimited[:] = 0
 
@@ -46,24 +52,3 @@ def copy_drives(source: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
     for joint in spec.joints:
         if joint.name in joints:
             joint.armature = joints[joint.name].armature
-
-
-def _keep_servo_errors(model: mujoco.MjModel) -> None:
-    """Make the drives' force kp (target - q) for any target.
-
-    MuJoCo 4 wraps the error of a position servo on a ball joint into +-pi per axis, which it
-    recognises by gain = -bias exactly. float32's pi is above pi: a full action would turn the
-    joint backwards. With a bias that is one unit in the last place off nothing is wrapped.
-    """
-    model.actuator_biasprm[:, 1] = np.nextafter(model.actuator_biasprm[:, 1], 0.0)
-
-
-def _make_torque_actuators(model: mujoco.MjModel) -> None:
-    """Replace position servos by motors: the control is the torque in Nm.
-
-    The efforts are no limit, as `powerScale` may exceed them.
-    """
-    model.actuator_gainprm[:, 0] = 1.0
-    model.actuator_biastype[:] = int(mujoco.mjtBias.mjBIAS_NONE)
-    model.actuator_biasprm[:] = 0.0
-    model.actuator_forcelimited[:] = 0

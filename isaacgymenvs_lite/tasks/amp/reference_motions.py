@@ -8,10 +8,77 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
-from isaacgymenvs_lite.tasks.amp.adaptive_starts import AdaptiveStarts
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
 from isaacgymenvs_lite.utils.state import Stateful
+
+_BIN_S = 0.1
+# Weight of an episode in the failure rate of its bin.
+_UPDATE = 0.02
+
+
+class AdaptiveStarts(Stateful):
+    """Draws moments of clips by how often episodes that start there fail soon.
+
+    Episodes that start just before a take-off or a landing end soon, and teach what the others need
+    later. Peng et al. 2018, "DeepMimic" (arXiv 1804.02717), start anywhere in a clip; trackers draw
+    clips by their failures (Luo et al. 2023, "PHC", arXiv 2305.06456).
+
+    Clips are cut into bins of a tenth of a second. At first all moments are equal.
+
+    Args:
+        lengths_s: (M,) of the clips.
+        weights: (M,) how often each clip is drawn, sum 1.
+        soon_steps: control steps; a failure in them is one of the start.
+    """
+
+    stored = ("failure_rate",)
+
+    def __init__(self, lengths_s: Tensor, weights: Tensor, soon_steps: int) -> None:
+        counts = (lengths_s / _BIN_S).ceil().long().clamp(min=1)
+        self._counts = counts
+        self._first = counts.cumsum(0) - counts
+        clips = torch.arange(len(counts), device=counts.device)
+        self._clip = clips.repeat_interleave(counts)
+        self._width_s = (lengths_s / counts)[self._clip]
+        place = torch.arange(len(self._clip), device=counts.device) - self._first[self._clip]
+        self._start_s = place * self._width_s
+        self._share = weights.to(self._width_s)[self._clip] / counts[self._clip]
+        self._soon_steps = soon_steps
+        self.failure_rate = torch.full_like(self._start_s, 0.5)
+        """(B,) of the episodes that started in each bin, the newest count most."""
+
+    def draw(self, n: int) -> tuple[Tensor, Tensor]:
+        """Return clips (n,) and times (n,) s."""
+        weights = self._share * self.failure_rate
+        if not bool(weights.sum() > 0):
+            weights = self._share
+        bins = torch.multinomial(weights, n, replacement=True)
+        within = torch.rand(n, device=bins.device)
+        return self._clip[bins], self._start_s[bins] + within * self._width_s[bins]
+
+    def bins_of(self, motion_ids: Tensor, times_s: Tensor) -> Tensor:
+        """Return the bins (n,) of moments (n,)."""
+        place = (times_s / self._width_s[self._first[motion_ids]]).long()
+        return self._first[motion_ids] + torch.minimum(place, self._counts[motion_ids] - 1)
+
+    def count(self, bins: Tensor, steps: Tensor, failed: Tensor) -> None:
+        """Take in episodes that ended; those that were cut off early do not count.
+
+        Args:
+            bins: (n,) where they started.
+            steps: (n,) control steps that they lasted.
+            failed: (n,) bool.
+        """
+        failed_soon = failed & (steps <= self._soon_steps)
+        is_known = failed_soon | (steps > self._soon_steps)
+        bins, failed_soon = bins[is_known], failed_soon[is_known]
+        episodes = torch.bincount(bins, minlength=len(self._clip))
+        failures = torch.bincount(bins[failed_soon], minlength=len(self._clip))
+        kept = (1.0 - _UPDATE) ** episodes
+        mean = failures / episodes.clamp(min=1)
+        self.failure_rate = kept * self.failure_rate + (1.0 - kept) * mean
+
 
 # Windows of clips computed at a time: many more leave the CPU's cache and take twice as long.
 _WINDOWS_AT_A_TIME = 256
@@ -145,9 +212,14 @@ class ClipStarts(Stateful):
         soon_limit: control steps; a failure within half of them counts for the start at most.
         ahead_s: how far ahead, in s, the goal looks from a start.
         ends_with_clip: whether episodes end with their clip.
+
+    Attributes:
+        clips: (N,) in which the episodes started, -1: in the default pose.
+        times_s: (N,) s, when in them.
+        adaptive: where episodes fail; None without `adaptive_starts`.
     """
 
-    stored = ("clips", "times_s", "_rows", "_left", "_adaptive")
+    stored = ("clips", "times_s", "_rows", "_left", "adaptive")
 
     def __init__(
         self,
@@ -166,15 +238,14 @@ class ClipStarts(Stateful):
         self._ahead_s = tuple(ahead_s)
         self._least_left_s = _LEAST_LEFT_S if ends_with_clip else None
         self._adaptive_share = config.adaptive_starts
-        self._adaptive: AdaptiveStarts | None = None
+        self.adaptive: AdaptiveStarts | None = None
         if config.adaptive_starts > 0.0:
-            self._adaptive = AdaptiveStarts(
+            self.adaptive = AdaptiveStarts(
                 lib.get_motion_length(range(lib.num_motions())),
                 lib.motion_weights(),
                 min(round(_FAILS_SOON_S / control_dt_s), soon_limit // 2),
             )
         self._block = min(num_envs, _STARTS_AT_A_TIME)
-        # Clips in which the episodes started, -1: in the default pose; and when in them.
         self.clips = torch.full((num_envs,), -1, dtype=torch.int64, device=device)
         self.times_s = torch.zeros(num_envs, device=device)
         self.clear()
@@ -213,14 +284,9 @@ class ClipStarts(Stateful):
             steps: (n,) control steps.
             failed: (n,) bool.
         """
-        if self._adaptive is not None and len(env_ids) > 0:
-            bins = self._adaptive.bins_of(self.clips[env_ids], self.times_s[env_ids])
-            self._adaptive.count(bins, steps, failed)
-
-    @property
-    def learns_where_episodes_fail(self) -> bool:
-        """Whether `count_ended` has an effect."""
-        return self._adaptive is not None
+        if self.adaptive is not None and len(env_ids) > 0:
+            bins = self.adaptive.bins_of(self.clips[env_ids], self.times_s[env_ids])
+            self.adaptive.count(bins, steps, failed)
 
     @torch.inference_mode()
     def _draw(self, n: int) -> tuple[Tensor, ...]:
@@ -239,9 +305,9 @@ class ClipStarts(Stateful):
         if self._starts_at_zero:
             return motion_ids, torch.zeros(n, device=motion_ids.device)
         times = lib.sample_time(motion_ids, truncate_time=self._least_left_s)
-        if self._adaptive is not None:
+        if self.adaptive is not None:
             is_adaptive = torch.rand(n, device=times.device) < self._adaptive_share
-            hard_ids, hard_times = self._adaptive.draw(n)
+            hard_ids, hard_times = self.adaptive.draw(n)
             motion_ids = torch.where(is_adaptive, hard_ids, motion_ids)
             times = torch.where(is_adaptive, hard_times, times)
         return motion_ids, times

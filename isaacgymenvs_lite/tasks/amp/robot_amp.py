@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import mujoco
@@ -16,7 +16,7 @@ from isaacgymenvs_lite.motion.qpos import dofs_from_qpos
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.robots.load import load_robot
 from isaacgymenvs_lite.robots.settings import RobotSettings
-from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.tasks.amp.deployable_observations import (
     add_noise,
     compute_frame,
@@ -27,15 +27,105 @@ from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
 from isaacgymenvs_lite.tasks.amp.humanoid_model import set_actuators
-from isaacgymenvs_lite.tasks.amp.robot_realism import RealismSettings, check_realism
-from isaacgymenvs_lite.tasks.base.action_delay import ActionDelay
 from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_spec
-from isaacgymenvs_lite.tasks.base.history import push_newest
+from isaacgymenvs_lite.tasks.base.history import ActionDelay, push_newest
 from isaacgymenvs_lite.tasks.base.pushes import push_interval, set_planar_velocities
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.task_config import AssetConfig
 from isaacgymenvs_lite.tasks.goals.velocity import Velocity
 from isaacgymenvs_lite.utils.rotations import xyzw_from_wxyz
+
+_MAX_FRAMES = 100
+_MAX_DELAY = 100  # control steps
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservationNoise:
+    """`task.env.observationNoise`: half widths of uniform noise on the parts of a frame."""
+
+    root_ang_vel_b: float = setting(0.0, minimum=0)
+    """rad/s."""
+    gravity_b: float = setting(0.0, minimum=0)
+    """Of the unit vector, which stays one."""
+    dof_pos_offset: float = setting(0.0, minimum=0)
+    """rad."""
+    dof_vel: float = setting(0.0, minimum=0)
+    """rad/s."""
+
+    @property
+    def widths(self) -> dict[str, float]:
+        """Half width of each part by its name."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealismSettings:
+    """What a policy observes, and what disturbs it; all disturbances are off by default."""
+
+    observations: str = setting("full", choices=("full", "deployable"))
+    """What the policy observes: all of the simulated state, or what a robot measures."""
+    history_steps: int = setting(1, key="historySteps", minimum=1, maximum=_MAX_FRAMES)
+    """Frames in a `deployable` observation, one for each of the last control steps."""
+    observation_noise: ObservationNoise = field(
+        default_factory=ObservationNoise, metadata={"key": "observationNoise"}
+    )
+    """On `deployable` frames."""
+    action_delay: tuple[int, ...] = setting(
+        (0, 0), key="actionDelay", minimum=0, maximum=_MAX_DELAY, length=2
+    )
+    """Control steps from a policy's choice to its effect, least and most; drawn per episode."""
+    push_robots: bool = setting(False, key="pushRobots")
+    """Change the velocities of the bases now and then."""
+    push_interval_s: float = setting(5.0, key="pushInterval_s", above=0)
+    """From one push of all robots to the next."""
+    push_velocity: float = setting(0.5, key="pushVelocity", minimum=0, maximum=100)
+    """Largest change of the velocity along each axis of the ground, m/s."""
+
+    @property
+    def is_deployable(self) -> bool:
+        """Whether the policy observes only what a robot measures."""
+        return self.observations == "deployable"
+
+
+def check_realism(settings: RealismSettings, env: dict[str, Any]) -> None:
+    """Check the keys that depend on each other.
+
+    Args:
+        settings: `task.env`, read.
+        env: `task.env`.
+
+    Raises:
+        ConfigError: an empty range, an unknown part, or a key that has no effect.
+    """
+    # Once more as a whole section: a part that does not exist would be left without its noise.
+    noise = env.get("observationNoise")
+    read_section(ObservationNoise, noise, "task.env.observationNoise", complete=True)
+    unread = sorted(set(noise or ()) - set(settings.observation_noise.widths))
+    if unread:
+        raise ConfigError(
+            f"task.env.observationNoise.{unread[0]}: no measured part has this name; choices:"
+            f" {', '.join(settings.observation_noise.widths)}"
+        )
+    least, most = settings.action_delay
+    if least > most:
+        raise ConfigError(
+            f"task.env.actionDelay=[{least}, {most}]: expected the least number of control steps,"
+            " then the most"
+        )
+    if settings.is_deployable:
+        return
+    if settings.history_steps > 1:
+        raise ConfigError(
+            f"task.env.historySteps={settings.history_steps}: only observations of a robot's own"
+            " measurements have a history; add task.env.observations=deployable, or leave it 1"
+        )
+    if any(settings.observation_noise.widths.values()):
+        raise ConfigError(
+            "task.env.observationNoise is of a robot's measurements; add"
+            " task.env.observations=deployable (noise on the full observation:"
+            " task.task.randomization_params.observations)"
+        )
+
 
 log = logging.getLogger(__name__)
 
@@ -161,7 +251,7 @@ class RobotAMP(HumanoidAMP):
         """As the base, or see `compute_states`."""
         if not self.env_cfg.is_deployable:
             return super().states_size()
-        own = self._num_amp_obs_per_step() + self._layout.num_dofs + 1
+        own = self._num_amp_obs_per_step + self._layout.num_dofs + 1
         return own + self.get_task_obs_size()
 
     def allocate_buffers(self) -> None:
@@ -251,7 +341,7 @@ class RobotAMP(HumanoidAMP):
             return super().current_amp_features(env_ids)
         if self.num_states == 0:
             return self._amp_features(self._character_states(env_ids))
-        features = self.states_buf[:, : self._num_amp_obs_per_step()]  # the critic's first part
+        features = self.states_buf[:, : self._num_amp_obs_per_step]  # the critic's first part
         return features if env_ids is None else features.index_select(0, env_ids)
 
 

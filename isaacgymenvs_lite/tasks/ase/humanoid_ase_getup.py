@@ -7,8 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.tasks.ase.humanoid_ase import HEAD, HumanoidASE
-from isaacgymenvs_lite.tasks.ase.humanoid_ase_config import GetupConfig
+from isaacgymenvs_lite.tasks.ase.humanoid_ase import HEAD, GetupConfig, HumanoidASE
+from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.vec_task import Done
 
@@ -102,27 +102,21 @@ class HumanoidASEGetup(HumanoidASE):
         # A diverged simulation counts as a fall, but has no pose to go on from.
         lies_there = (self.done_buf == Done.FAILED) & ~self.simulation.failed
         fell = lies_there.index_select(0, env_ids)
-        recovers = fell & self._drawn(env_ids, cfg.recovery_episode_prob)
-        lies = ~recovers & self._drawn(env_ids, cfg.fall_init_prob)
+        recovers = fell & (uniform(env_ids, 0.0, 1.0) < cfg.recovery_episode_prob)
+        lies = ~recovers & (uniform(env_ids, 0.0, 1.0) < cfg.fall_init_prob)
         self._going_on_ids = env_ids[recovers]
         lying_ids, others = env_ids[lies], env_ids[~recovers & ~lies]
         super().reset_state(others)
-        self._lay_down(lying_ids)
+        if len(lying_ids) > 0:
+            poses = torch.randint(self.num_envs, (len(lying_ids),), device=self.device)
+            dof_pos = self.fallen_dof_pos.index_select(0, poses)
+            root_states = self.fallen_root_states.index_select(0, poses)
+            at_rest = torch.zeros_like(dof_pos)
+            self.simulation.write_state(lying_ids, root_states, dof_pos, at_rest)
         down = torch.cat((self._going_on_ids, lying_ids))
         self.goal.reset(down)
         self.recovery_steps_left.index_fill_(0, others, 0)
         self.recovery_steps_left.index_fill_(0, down, cfg.recovery_steps)
-
-    def _drawn(self, env_ids: Tensor, probability: float) -> Tensor:
-        return torch.rand(len(env_ids), device=self.device) < probability
-
-    def _lay_down(self, env_ids: Tensor) -> None:
-        if len(env_ids) == 0:
-            return
-        poses = torch.randint(self.num_envs, (len(env_ids),), device=self.device)
-        dof_pos = self.fallen_dof_pos.index_select(0, poses)
-        root_states = self.fallen_root_states.index_select(0, poses)
-        self.simulation.write_state(env_ids, root_states, dof_pos, torch.zeros_like(dof_pos))
 
     def _start_histories(self, env_ids: Tensor) -> None:
         """As the base, except for characters that go on: their motion is continuous."""

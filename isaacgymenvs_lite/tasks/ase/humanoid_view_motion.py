@@ -9,8 +9,7 @@ import mujoco
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
-from isaacgymenvs_lite.tasks.ase.humanoid_ase_config import HumanoidASEConfig
+from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE, HumanoidASEConfig
 
 
 class HumanoidViewMotion(HumanoidASE):

@@ -20,7 +20,6 @@ from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.task_config import TaskConfig
-from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 
 HOME_M = (0.0, 0.0, 1.0)
 """Where the body is in the model, and about where it starts."""
@@ -108,7 +107,7 @@ class HoverConfig(TaskConfig):
 class HoverTask(MjcfTask):
     """N bodies that learn to hover at a target."""
 
-    reset_mode = ResetMode.BEFORE_PHYSICS
+    starts_before_physics = True
     zero_action_at_reset = True
     max_distance_m: ClassVar[float]
     min_height_m: ClassVar[float]

@@ -7,6 +7,7 @@ target in place of its distance to the side, so that it is nearly minus the yaw.
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
@@ -22,7 +23,7 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.task_config import TaskConfig
 from isaacgymenvs_lite.tasks.base.vec_task import ActionScaling
 from isaacgymenvs_lite.tasks.base.wrenches import measure_wrenches
-from isaacgymenvs_lite.utils.rotations import get_euler_xyz, rotate_components
+from isaacgymenvs_lite.utils.rotations import rotate_components
 from isaacgymenvs_lite.utils.scaling import unscale
 
 _TARGET_X_M = 1000.0
@@ -82,21 +83,25 @@ def compute_torso_state(root_states: Tensor) -> TorsoState:
     `yaw` and `roll` are in [0, 2 pi) and `angle_to_target` is not wrapped (rad); `up_proj` is the
     height of the torso's z axis, `heading_proj` the share of its x axis that points at the target.
     """
-    px, py, height, x, y, z, w, *velocities = root_states.unbind(-1)
-    back = (-x, -y, -z, w)
-    roll, _, yaw = get_euler_xyz(root_states[:, 3:7])
+    root = root_states.t()
+    px, py, height, x, y, z, w = root[:7].unbind()
+    velocities_w = root[7:].unflatten(0, (2, 3)).unbind(1)  # x, y and z of both
+    velocities = torch.stack(rotate_components((-x, -y, -z, w), velocities_w), dim=1)
+    xx, yy, zz, ww = x * x, y * y, z * z, w * w
+    sin_yaw = 2.0 * (x * y + w * z)
+    # As `get_euler_xyz`, which also computes the pitch.
+    roll = torch.atan2(2.0 * (w * x + y * z), ww - xx - yy + zz) % math.tau
+    yaw = torch.atan2(sin_yaw, ww + xx - yy - zz) % math.tau
     to_x, to_y = _TARGET_X_M - px, -py
-    heading_x, heading_y = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
-    distance = torch.hypot(to_x, to_y)
     return TorsoState(
         height,
-        torch.stack(rotate_components(back, velocities[:3])),
-        torch.stack(rotate_components(back, velocities[3:])),
+        velocities[0],
+        velocities[1],
         yaw,
         roll,
         torch.atan2(-height, to_x) - yaw,
-        1.0 - 2.0 * (x * x + y * y),
-        (heading_x * to_x + heading_y * to_y) / distance,
+        1.0 - 2.0 * (xx + yy),
+        ((1.0 - 2.0 * (yy + zz)) * to_x + sin_yaw * to_y) / torch.hypot(to_x, to_y),
     )
 
 

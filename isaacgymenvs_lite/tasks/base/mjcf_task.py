@@ -17,7 +17,7 @@ from isaacgymenvs_lite.tasks.base.task_config import (
     read_num_threads,
     read_sim_config,
 )
-from isaacgymenvs_lite.tasks.base.vec_task import ResetMode, VecTask
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 
 class MjcfTask(VecTask):
@@ -37,7 +37,6 @@ class MjcfTask(VecTask):
         actor_name: name of the robot in `task.task.randomization_params.actor_params`.
         num_observations: numbers in an observation.
         num_actions: numbers in an action.
-        reset_mode: when episodes start; see `ResetMode`.
         env_cfg: the keys of `task.env`, an object of `settings_class`.
         sim_cfg: the keys of `task.sim`.
 
@@ -48,7 +47,6 @@ class MjcfTask(VecTask):
     settings_class: ClassVar[type[TaskConfig]] = TaskConfig
     default_asset: ClassVar[str]
     published_assets: ClassVar[tuple[str, ...]] = ()
-    reset_mode = ResetMode.AFTER_PHYSICS
     _spec: mujoco.MjSpec | None = None
 
     def __init__(self, cfg: dict[str, Any], *args: Any, **kwargs: Any) -> None:
@@ -81,13 +79,12 @@ class MjcfTask(VecTask):
         """Return the compiled model."""
         path = asset_path(self.env_cfg.asset, self.default_asset, self.published_assets)
         friction = self.env_cfg.plane.dynamic_friction
-        return compile_model(
-            path, self.default_asset, self.sim_cfg, friction, self._keep_and_change_spec
-        )
 
-    def _keep_and_change_spec(self, spec: mujoco.MjSpec) -> None:
-        self._spec = spec
-        self.change_spec(spec)
+        def keep_and_change(spec: mujoco.MjSpec) -> None:
+            self._spec = spec
+            self.change_spec(spec)
+
+        return compile_model(path, self.default_asset, self.sim_cfg, friction, keep_and_change)
 
     def scene(self) -> mujoco.MjSpec | None:
         """Return the simulated model as a specification, which can be written as MJCF.

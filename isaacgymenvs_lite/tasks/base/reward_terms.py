@@ -10,9 +10,8 @@ Terms = dict[str, Tensor]
 
 def replace_where(terms: Terms, where: Tensor, name: str, value: float) -> Terms:
     """Return the terms, but in environments `where` (N,) bool only one, `name`, of this value."""
-    replaced = {key: term.masked_fill(where, 0.0) for key, term in terms.items()}
-    replaced[name] = torch.zeros_like(next(iter(terms.values()))).masked_fill_(where, value)
-    return replaced
+    kept = torch.stack(tuple(terms.values())).masked_fill_(where, 0.0)
+    return {**dict(zip(terms, kept, strict=True)), name: where * value}
 
 
 def total(terms: Terms) -> Tensor:

@@ -1,27 +1,41 @@
 """VecTask: the life of N environments that step together, with the contract of IsaacGymEnvs.
 
-`VecTask` has the order of a control step and of a reset, once for all tasks. A task fills in what
-is its own: `compute_controls`, `compute_obs`, `compute_reward_terms`, `compute_failures`,
-`reset_state` and, if it needs them, the other methods of the same section. `MjcfTask` adds what
-most tasks share before the first step: checked keys and a model. A task of IsaacGymEnvs overrides
-`create_sim`, `pre_physics_step`, `post_physics_step` and `reset_idx` instead (`ResetMode.CUSTOM`).
+**Episodes.** `step` returns the last observation of an episode and marks its end in `reset_buf`.
+The next episode starts in the next step, or earlier if somebody calls `reset_done`. In a step it
+starts after the physics, as in IsaacGymEnvs: the action has no effect, and the step returns the
+first observation. Three kinds of tasks differ:
+
+- `starts_before_physics`: it starts before the physics, and the step belongs to it.
+- AnymalTerrain starts it in the step that ends the episode before.
+- A task of IsaacGymEnvs overrides `create_sim`, `pre_physics_step`, `post_physics_step` and
+  `reset_idx`. It starts episodes where it calls `reset_idx`, and `reset` starts none.
+
+**A step** is, in this order: actions made finite, given noise and clamped; `pre_physics_step`
+(`compute_controls`); `simulation.step`; `post_physics_step` (`update_state`,
+`compute_observations`, `compute_reward`, `compute_reset`); `infos`; noise of domain randomisation
+on the observations; `listeners`. A task fills in the methods in the section of that name.
+`MjcfTask` adds checked keys and a model.
+
+**Tensors.** N is always the first dimension. The state tensors of `simulation` belong to the
+backend and change with its `step` and `write_state`. The buffers of the class docstring belong to
+the task: they are on `device`, `allocate_buffers` makes them, and each step writes into them in
+place (`actions` and `reward_terms` are replaced). Others may write 1 into `reset_buf` between two
+steps. What `step` and `reset_done` return is on `rl_device` and belongs to the caller, but `infos`
+is the same dictionary in every step, with other tensors in it.
 
 What differs from IsaacGymEnvs:
 
-- `time_outs` marks episodes that end at the time limit or whose simulation diverged: one that also
-  *fails* in its last step is no time-out, so that trainers which bootstrap there do not value a
-  fall.
-- A step whose simulation diverged earns nothing and cuts its episode off: not a failure, as the
-  task did not end it. Its last observation is the last good one, of the step before, and
-  `infos["diverged"]` marks it, so that agents leave it out of their updates.
+- `time_outs` marks episodes that end at the time limit or whose simulation diverged. An episode
+  that also *fails* in its last step is no time-out, so that no trainer bootstraps from a fall.
+- A step whose simulation diverged earns nothing and cuts its episode off, without a failure. Its
+  observation is the last good one, of the step before. `infos["diverged"]` marks it, so that agents
+  leave it out of their updates.
 - An action that is not finite is a failure without a reward; the physics gets zero in its place.
-- `step` returns copies, so that a caller may keep them over the next step.
 - There is no process-wide simulation: tasks can be made side by side, and `close()` frees one.
 """
 
 from __future__ import annotations
 
-import enum
 import logging
 from typing import Any, ClassVar, Final, NamedTuple
 
@@ -37,7 +51,7 @@ from isaacgymenvs_lite.rendering.tracks import TaskCamera
 from isaacgymenvs_lite.schema import read_keys
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.tasks.base.reward_terms import Terms, total
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.task_config import EnvConfig, StepConfig
 from isaacgymenvs_lite.tasks.randomization.randomizer import DomainRandomizer
 from isaacgymenvs_lite.utils.state import Stateful
@@ -46,23 +60,6 @@ from isaacgymenvs_lite.utils.threads import one_torch_thread, release_torch_thre
 log = logging.getLogger(__name__)
 
 _PICTURE_SIZE = (640, 480)
-
-
-class ResetMode(enum.Enum):
-    """When a task starts the next episode of an environment whose episode ended."""
-
-    BEFORE_PHYSICS = enum.auto()
-    """In the next step, before the physics. `step` returns the last observation of an episode."""
-    AFTER_PHYSICS = enum.auto()
-    """In the next step, after the physics: its action has no effect, and it returns the first
-    observation. The step before returned the last one, as in IsaacGymEnvs."""
-    SAME_STEP = enum.auto()
-    """In the step that ended the episode, after its reward and before its observation."""
-    ON_REQUEST = enum.auto()
-    """When the agent calls `reset_done`. `step` returns the last observation of an episode."""
-    CUSTOM = enum.auto()
-    """In `pre_physics_step` or `post_physics_step` of the task, which overrides them and writes
-    `reset_buf`, as in IsaacGymEnvs."""
 
 
 class Done:
@@ -163,7 +160,15 @@ class Env(Stateful):
         self.headless = headless
         self.rl_device = rl_device
         self.sim_device = sim_device
-        self.device = tensor_device(sim_device, sim.use_gpu_pipeline)
+        # Published commands with `sim_device=cuda:N` and `pipeline=gpu` are accepted.
+        self.device = torch.device("cpu")
+        if sim_device != "cpu" or sim.use_gpu_pipeline:
+            log.info(
+                "physics runs on the CPU (mujoco.batch): sim_device=%s%s has no effect;"
+                " observations go to rl_device",
+                sim_device,
+                " pipeline=gpu" if sim.use_gpu_pipeline else "",
+            )
         has_cameras = bool(config["env"].get("enableCameraSensors", False))
         self.graphics_device_id = -1 if headless and not has_cameras else graphics_device_id
 
@@ -234,12 +239,11 @@ class VecTask(Env):
         states_buf: (N, numStates) float32, privileged observations of asymmetric critics.
         rew_buf: (N,) float32.
         reward_terms: (N,) each, whose sum is `rew_buf`.
-        reset_buf: (N,) int64, 1 where an episode ended and the next one did not start yet, at
-            first everywhere. A 1 that is written makes the next reset start an episode.
-        done_buf: (N,) int64, how the last step left each episode, see `Done`. A reset within the
-            step leaves it as it is, `reset_done` of an `ON_REQUEST` task clears it.
-        timeout_buf: (N,) bool, the last step ended the episode by its time limit, or cut it off
-            because the simulation diverged.
+        reset_buf: (N,) int64, 1 where an episode ended and the next one has not started, at first
+            everywhere.
+        done_buf: (N,) int64, how the last step left each episode, see `Done`; `reset_done` clears
+            the rows of the episodes that it starts.
+        timeout_buf: (N,) bool, `infos["time_outs"]` of the last step.
         diverged_buf: (N,) bool, the simulation diverged in the last step.
         progress_buf: (N,) int64, control steps of the running episode.
         actions: (N, numActions) of the last step, clamped.
@@ -253,7 +257,7 @@ class VecTask(Env):
             two; the time that a step simulates is `simulation.dt`.
         is_training: whether an agent learns from the task, which this project's agents set: then a
             task may end episodes for the sake of learning. A loop of your own may set it.
-        keeps_final_observations: whether a `SAME_STEP` task also observes the ends of episodes; see
+        keeps_final_observations: whether AnymalTerrain also observes the ends of episodes; see
             `final_observations`.
     """
 
@@ -262,10 +266,14 @@ class VecTask(Env):
     progress_buf: Tensor
     actor_name: ClassVar[str] = "robot"
     """Name of the robot in `task.task.randomization_params.actor_params`."""
-    reset_mode: ResetMode = ResetMode.CUSTOM
+    starts_before_physics: ClassVar[bool] = False
+    """A step starts episodes before its physics; see the module docstring."""
     zero_action_at_reset: ClassVar[bool] = False
-    """`BEFORE_PHYSICS`: an action counts as zero in the step that starts an episode, because it was
-    chosen for the last state of the one before. After `reset` or `reset_done` actions count."""
+    """`starts_before_physics`: an action counts as zero in the step that starts an episode, because
+    it was chosen for the last state of the one before."""
+    agents_call_reset_done: ClassVar[bool] = False
+    """Agents choose the first action of an episode for its first observation: they call
+    `reset_done` before each step, and `reset_idx` observes. `RLGPUEnv` calls it for the others."""
     is_training: bool = False
     keeps_final_observations: bool = False
     not_stored: ClassVar[tuple[str, ...]] = (
@@ -298,15 +306,12 @@ class VecTask(Env):
         self._camera = TaskCamera(self, *_PICTURE_SIZE)
         self.create_sim()
         self.allocate_buffers()
-        self.randomizer = self._make_randomizer(config.get("task") or {})
-
-    def _make_randomizer(self, section: dict[str, Any]) -> DomainRandomizer | None:
-        """Return the randomiser of `task.task`, None if it is off."""
-        if not section.get("randomize", False):
-            return None
-        params = section.get("randomization_params") or {}
-        layout = ModelLayout.from_model(self.simulation.model)
-        return DomainRandomizer(params, self.simulation, layout, [self.actor_name])
+        self.randomizer: DomainRandomizer | None = None
+        section = config.get("task") or {}
+        if section.get("randomize", False):
+            params = section.get("randomization_params") or {}
+            layout = ModelLayout.from_model(self.simulation.model)
+            self.randomizer = DomainRandomizer(params, self.simulation, layout, [self.actor_name])
 
     # --- what a task fills in -------------------------------------------------------------
 
@@ -407,7 +412,6 @@ class VecTask(Env):
         self.extras: dict[str, Any] = {}
         self.obs_dict: dict[str, Tensor] = {}
         self._observed_before: dict[str, Tensor] = {}
-        self._final_observations: dict[str, Tensor] = {}
 
     # --- a step -----------------------------------------------------------------------------
 
@@ -427,83 +431,80 @@ class VecTask(Env):
             actions = self._finite_actions(actions.to(self.device))
             if self.randomizer is not None:
                 actions = self.randomizer.noisy_actions(actions)
-            self.done_buf.zero_()
             self.pre_physics_step(actions.clamp(-self.clip_actions, self.clip_actions))
             self.simulation.step()
-            self._find_discarded()
+            self.done_buf.zero_()
+            self.diverged_buf.copy_(self.simulation.failed)
+            discarded = self.diverged_buf | self._bad_actions
+            self._discarded = discarded if bool(discarded.any()) else None
             self.post_physics_step()
             self.control_steps += 1
             if self._discarded is not None:
                 self._end_discarded(self._discarded)
-            dones = self._dones()
-            self.timeout_buf = self.done_buf == Done.TIME_OUT
+            if bool((self.reset_buf > self.done_buf).any()):
+                self._explain_ends()
+            torch.eq(self.done_buf, Done.TIME_OUT, out=self.timeout_buf)
             if self._discarded is not None:
-                self.timeout_buf |= self.done_buf == Done.DIVERGED
+                self.timeout_buf |= self.diverged_buf
             self.extras.update(self.infos())
-            self.extras["time_outs"] = self.timeout_buf.to(self.rl_device)
-            self.extras["diverged"] = self.diverged_buf.to(self.rl_device)
+            self.extras["time_outs"] = self._for_trainer(self.timeout_buf)
+            self.extras["diverged"] = self._for_trainer(self.diverged_buf)
             if self.randomizer is not None:
                 self.obs_buf.copy_(self.randomizer.noisy_observations(self.obs_buf))
-            if self._discarded is not None and self.reset_mode is not ResetMode.SAME_STEP:
+            if self._discarded is not None:
                 self._repeat_observations({"obs": self.obs_buf, "states": self.states_buf})
             for listener in self.listeners:
                 listener.after_step()
-            return (
-                self._observations(),
-                self._for_trainer(self.rew_buf),
-                dones.to(self.rl_device, non_blocking=True),
-                self.extras,
-            )
+            dones = self.done_buf.sign().to(self.rl_device, non_blocking=True)
+            return self._observations(), self._for_trainer(self.rew_buf), dones, self.extras
 
     def pre_physics_step(self, actions: Tensor) -> None:
         """Set the controls of clamped actions (N, numActions)."""
-        if self.reset_mode is ResetMode.SAME_STEP:
-            self._reset_ended()  # in a first step without a `reset` before it
         self.actions = actions
-        if self.reset_mode is ResetMode.BEFORE_PHYSICS:
+        if self.starts_before_physics:
             if self.zero_action_at_reset:
                 self.actions = actions.masked_fill((self.reset_buf != 0)[:, None], 0.0)
-            self._reset_ended()
+            self._start_episodes()
         self.simulation.set_controls(self.compute_controls(self.actions))
 
     def post_physics_step(self) -> None:
-        """Count the step; observe, reward, end episodes and start the next ones."""
+        """Count the step; observe, reward, and mark the episodes that end."""
         self.extras.clear()
         self.progress_buf += 1
         self.randomize_buf += 1
-        if self.reset_mode is ResetMode.SAME_STEP:
-            self.update_state()
-            self.compute_reset()
-            self.compute_reward()
-            if self.keeps_final_observations and self.reset_buf.any():
-                self.compute_observations()
-                self._final_observations = self._observations()
-                if self._discarded is not None:
-                    self._repeat_observations(self._final_observations)
-            self._reset_ended()
-            self.compute_observations()
-        else:
-            if self.reset_mode is ResetMode.AFTER_PHYSICS:
-                self._reset_ended()
-            self.update_state()
-            self.compute_observations()
-            self.compute_reward()
-            self.compute_reset()
+        if not self.starts_before_physics:
+            self._start_episodes()
+        self.update_state()
+        self.compute_observations()
+        self.compute_reward()
+        self.compute_reset()
 
     def compute_observations(self, env_ids: Tensor | None = None) -> None:
-        """Write the observations of all environments, or of `env_ids` (n,), into `obs_buf`."""
-        observations = self.compute_obs() if env_ids is None else self.compute_obs_of(env_ids)
-        if self.num_states > 0:
-            _write_rows(self.states_buf, env_ids, self.compute_states(env_ids, observations))
-        _write_rows(self.obs_buf, env_ids, self.add_sensor_noise(observations))
+        """Write observations into `obs_buf`.
+
+        Args:
+            env_ids: (n,) of environments that start an episode; None: of all.
+        """
+        if env_ids is None:
+            observations = self.compute_obs()
+            if self.num_states > 0:
+                self.states_buf.copy_(self.compute_states(None, observations))
+            self.obs_buf.copy_(self.add_sensor_noise(observations))
+        else:
+            observations = self.compute_obs_of(env_ids)
+            if self.num_states > 0:
+                states = self.compute_states(env_ids, observations)
+                self.states_buf.index_copy_(0, env_ids, states)
+            self.obs_buf.index_copy_(0, env_ids, self.add_sensor_noise(observations))
 
     def compute_reward(self) -> None:
         """Write the rewards of all environments into `rew_buf`."""
-        self.reward_terms = self.compute_reward_terms()
+        terms = self.compute_reward_terms()
         if (discarded := self._discarded) is not None:
-            terms = self.reward_terms.items()
-            self.reward_terms = {name: term.masked_fill(discarded, 0.0) for name, term in terms}
-        self.rew_buf.copy_(total(self.reward_terms))
+            terms = {name: term.masked_fill(discarded, 0.0) for name, term in terms.items()}
+        self.reward_terms = terms
+        first, *others = terms.values()
+        self.rew_buf.copy_(torch.stack((first, *others)).sum(0) if others else first)
 
     def compute_reset(self) -> None:
         """Write which episodes end, and how."""
@@ -513,19 +514,12 @@ class VecTask(Env):
             self._write_discarded_codes()
         torch.sign(self.done_buf, out=self.reset_buf)
 
-    def _dones(self) -> Tensor:
-        """Return (N,) int64, 1 where the step ended an episode; complete `done_buf`.
-
-        A task may have written `reset_buf` alone, as those of IsaacGymEnvs do.
-        """
-        dones = self.done_buf.sign()
-        if self.reset_mode is ResetMode.SAME_STEP or torch.equal(dones, self.reset_buf):
-            return dones
+    def _explain_ends(self) -> None:
+        """Complete `done_buf` where a task wrote `reset_buf` alone, as those of IsaacGymEnvs do."""
         timed_out = self.compute_time_outs() & ~self.compute_failures()
         codes = timed_out.long().masked_fill_(~timed_out, Done.FAILED)
-        ended = self.reset_buf != 0
-        self.done_buf.copy_(torch.where(dones != 0, self.done_buf, codes) * ended)
-        return ended.long()
+        is_unexplained = self.reset_buf > self.done_buf
+        self.done_buf.copy_(torch.where(is_unexplained, codes, self.done_buf))
 
     # --- steps without an outcome -----------------------------------------------------------
 
@@ -545,47 +539,39 @@ class VecTask(Env):
             )
         return actions.masked_fill(self._bad_actions.unsqueeze(-1), 0.0)
 
-    def _find_discarded(self) -> None:
-        """Write where the step has no outcome: the simulation diverged, or the action was bad."""
-        self.diverged_buf = self.simulation.failed.clone()
-        discarded = self.diverged_buf | self._bad_actions
-        self._discarded = discarded if bool(discarded.any()) else None
-
     def _end_discarded(self, discarded: Tensor) -> None:
-        """End the episodes of `discarded` (N,) without a reward, in tasks of all kinds."""
+        """End the episodes of `discarded` (N,) without a reward, also in a task of IsaacGymEnvs.
+
+        Warn of diverged simulations: at the first one and at every power of ten.
+        """
         self.rew_buf.masked_fill_(discarded, 0.0)
+        self.reset_buf.masked_fill_(discarded & (self.done_buf == Done.RUNNING), 1)
         self._write_discarded_codes()
-        if self.reset_mode is not ResetMode.SAME_STEP:
-            self.reset_buf.masked_fill_(discarded, 1)
-        self._report_diverged()
+        count = self.simulation.num_failures
+        if count > self._failures_reported and count >= 10 * self._failures_reported:
+            log.warning("%d simulation(s) diverged so far and were reset; the run goes on", count)
+            self._failures_reported = count
 
     def _write_discarded_codes(self) -> None:
         self.done_buf.masked_fill_(self._bad_actions, Done.FAILED)
         self.done_buf.masked_fill_(self.diverged_buf, Done.DIVERGED)
 
     def _repeat_observations(self, observations: dict[str, Tensor]) -> None:
-        """Write the observations before the step where it diverged, in place."""
+        """Write the observations of the step before, in place, where an episode was cut off."""
+        cut_off = self.diverged_buf & (self.reset_buf != 0)
         for name, before in self._observed_before.items():
             rows = observations[name]
-            env_ids = self.diverged_buf.nonzero().flatten().to(rows.device)
+            env_ids = cut_off.nonzero().flatten().to(rows.device)
             rows.index_copy_(0, env_ids, before.to(rows.device).index_select(0, env_ids))
-
-    def _report_diverged(self) -> None:
-        """Warn of diverged simulations: at the first one and at every power of ten."""
-        count = self.simulation.num_failures
-        if count > self._failures_reported and count >= 10 * self._failures_reported:
-            log.warning("%d simulation(s) diverged so far and were reset; the run goes on", count)
-            self._failures_reported = count
 
     # --- resets -----------------------------------------------------------------------------
 
     def reset(self) -> dict[str, Tensor]:
         """Start a new episode in every environment and return its first observations.
 
-        A `CUSTOM` task resets nothing here, as in IsaacGymEnvs: it returns the current
-        observations, zero at first, and its first step does the reset.
+        A task of IsaacGymEnvs returns the current observations, zero at first.
         """
-        if self.reset_mode is ResetMode.CUSTOM:
+        if self._resets_itself:
             return self._observations()
         self.reset_buf.fill_(1)
         return self.reset_done()[0]
@@ -597,44 +583,42 @@ class VecTask(Env):
             observations as `step`, and the ids of the environments that were reset (n,).
         """
         with one_torch_thread():
-            env_ids = self._reset_ended()
-            observed_by_reset_idx = self.reset_mode in (ResetMode.ON_REQUEST, ResetMode.CUSTOM)
-            if len(env_ids) > 0 and not observed_by_reset_idx:
+            env_ids = self._start_episodes()
+            self.done_buf.index_fill_(0, env_ids, Done.RUNNING)
+            is_observed = self.agents_call_reset_done or self._resets_itself
+            if len(env_ids) > 0 and not is_observed:
                 self.compute_observations(env_ids)
             return self._observations(), env_ids.to(self.rl_device)
 
-    def reset_idx(self, env_ids: Tensor) -> None:
-        """Start new episodes in environments `env_ids` (n,)."""
-        self.randomize(env_ids)
-        self.reset_state(env_ids)
-        self.progress_buf.index_fill_(0, env_ids, 0)
-        self.reset_buf.index_fill_(0, env_ids, 0)
-        if self.reset_mode is ResetMode.ON_REQUEST:
-            # Between two steps: this is what the policy acts on next.
-            self.done_buf.index_fill_(0, env_ids, Done.RUNNING)
-            self.compute_observations(env_ids)
+    @property
+    def _resets_itself(self) -> bool:
+        """Whether the task has a `reset_idx` in place of `reset_state`, as in IsaacGymEnvs."""
+        return type(self).reset_state is VecTask.reset_state
 
-    def _reset_ended(self) -> Tensor:
+    def _start_episodes(self) -> Tensor:
         """Start new episodes where `reset_buf` is 1; return these environments (n,)."""
         env_ids = self.reset_buf.nonzero().flatten()
         if len(env_ids) > 0:
             self.reset_idx(env_ids)
         return env_ids
 
-    def randomize(self, env_ids: Tensor) -> None:
-        """Draw the physical parameters that are due, in environments `env_ids` (n,)."""
+    def reset_idx(self, env_ids: Tensor) -> None:
+        """Start new episodes in environments `env_ids` (n,)."""
         if self.randomizer is not None:
             frame = self.control_steps * self.control_freq_inv
             self.randomizer.on_reset(env_ids, self.randomize_buf, frame)
+        self.reset_state(env_ids)
+        self.progress_buf.index_fill_(0, env_ids, 0)
+        self.reset_buf.index_fill_(0, env_ids, 0)
+        if self.agents_call_reset_done:
+            self.compute_observations(env_ids)
 
     def final_observations(self) -> dict[str, Tensor]:
         """Return the last observations of the episodes that the last step ended.
 
-        To be called before `reset_done`. Rows of other environments have no meaning. A `SAME_STEP`
-        task has them only while `keeps_final_observations` is set.
+        To be called before `reset_done`. Rows of other environments have no meaning. AnymalTerrain
+        has them only while `keeps_final_observations` is set.
         """
-        if self.reset_mode is ResetMode.SAME_STEP:
-            return self._final_observations
         return self._observations()
 
     # --- for trainers and viewers -----------------------------------------------------------
@@ -694,29 +678,5 @@ class VecTask(Env):
         return buffer.clone().to(self.rl_device, non_blocking=True)
 
 
-def _write_rows(buffer: Tensor, env_ids: Tensor | None, rows: Tensor) -> None:
-    """Write rows (n, F) of environments (n,) into a buffer (N, F), or all of them for None."""
-    if env_ids is None:
-        buffer.copy_(rows)
-    else:
-        buffer.index_copy_(0, env_ids, rows)
-
-
 def _unbounded_box(size: int) -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
-
-
-def tensor_device(sim_device: str, use_gpu_pipeline: bool) -> torch.device:
-    """Return the device of a task's tensors: the physics' device, the CPU with all backends so far.
-
-    `sim_device=cuda:N` and `pipeline=gpu` of published commands are accepted, with a line in the
-    log.
-    """
-    if sim_device != "cpu" or use_gpu_pipeline:
-        log.info(
-            "physics runs on the CPU (mujoco.batch): sim_device=%s%s has no effect; observations"
-            " go to rl_device",
-            sim_device,
-            " pipeline=gpu" if use_gpu_pipeline else "",
-        )
-    return torch.device("cpu")

@@ -39,6 +39,7 @@ class Goal(Stateful):
 
     Attributes:
         settings: the goal's keys, an object of `settings_class`.
+        num_task_obs: numbers that the observation of the task ends with, 0 without `enableTaskObs`.
         simulation: the backend, from `attach` on; its tensors are what goals read.
         dt_s: time of a control step (s).
         prev_root_pos_w: (N, 3) m, of the characters before the last control step.
@@ -61,16 +62,12 @@ class Goal(Stateful):
     def __init__(self, env: Mapping[str, Any]) -> None:
         given = {key: env[key] for key in self.keys() if env.get(key) is not None}
         self.settings: Any = read_section(self.settings_class, given, "task.env")
+        self.num_task_obs = self.num_obs if self.settings.enable_task_obs else 0
 
     @classmethod
     def keys(cls) -> frozenset[str]:
         """Return the keys of `task.env` that the goal reads."""
         return keys_of(cls.settings_class)
-
-    @property
-    def num_task_obs(self) -> int:
-        """Numbers that the observation of the task ends with: 0 without `enableTaskObs`."""
-        return self.num_obs if self.settings.enable_task_obs else 0
 
     def add_to_model(self, spec: mujoco.MjSpec) -> None:
         """Add the objects that the goal needs to the model of the character."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.tasks.terrain.grid import Terrain
-from isaacgymenvs_lite.tasks.terrain.tiles import HORIZONTAL_M, VERTICAL_M
+from isaacgymenvs_lite.tasks.terrain.grid import HORIZONTAL_M, VERTICAL_M, Terrain
 
 # Before and behind, left and right of the robot, in its heading's frame (m).
 _SIDE_X = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)

@@ -20,23 +20,7 @@ from torch import Tensor, nn
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.workflows import library
-from isaacgymenvs_lite.workflows.agent_files import (
-    AgentSettings,
-    activation_class,
-    check_arguments,
-    constructing,
-    read_agent,
-    whole_number,
-)
 from isaacgymenvs_lite.wrappers.skrl_env import SkrlVecEnvWrapper
-
-# Classes and functions, which a file cannot name; the agent file has other keys for them.
-_RESERVED = (
-    *("experiment", "rewards_shaper", "learning_rate_scheduler", "learning_rate_scheduler_kwargs"),
-    *("observation_preprocessor", "observation_preprocessor_kwargs"),
-    *("state_preprocessor", "state_preprocessor_kwargs"),
-    *("value_preprocessor", "value_preprocessor_kwargs"),
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +34,7 @@ class NetworkSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SkrlSettings(AgentSettings):
+class SkrlSettings(library.AgentSettings):
     """An agent file."""
 
     ppo: dict[str, Any] = setting()
@@ -66,55 +50,44 @@ class SkrlSettings(AgentSettings):
 class Agent(library.Agent):
     """PPO with a Gaussian policy; checkpoints are `checkpoints/agent_<steps>.pt`.
 
-    Args:
-        task: the task.
-        content: of an agent file.
-        device: of the networks.
-        seed: not read, as the generators are seeded already.
-
-    Attributes:
-        agent: skrl's.
-
-    Raises:
-        ConfigError: a key of the agent file that cannot be used.
+    The seed is not read, as the generators are seeded already.
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
-        settings = read_agent(SkrlSettings, content)
-        check_arguments(PPO_CFG, settings.ppo, "agent.ppo", _RESERVED)
-        self.max_iterations = settings.max_iterations
-        self._interval = settings.checkpoint_interval
-        self._rollouts = whole_number(settings.ppo, "rollouts", "agent.ppo")
-        self._env = env = SkrlVecEnvWrapper(task)
-        self.stepper = env.stepper
+        self._settings = settings = library.read_agent(SkrlSettings, content)
+        library.check_arguments(PPO_CFG, settings.ppo, "agent.ppo", ("experiment",))
+        self.env = SkrlVecEnvWrapper(task)
+        self.stepper = self.env.stepper
         spaces: dict[str, Any] = {
-            "observation_space": env.observation_space,
-            "state_space": env.state_space,
-            "action_space": env.action_space,
+            "observation_space": self.env.observation_space,
+            "state_space": self.env.state_space,
+            "action_space": self.env.action_space,
             "device": device,
         }
         network = settings.network
-        layers = (network.units, activation_class(network.activation))
-        models = {
-            "policy": GaussianPolicy(*layers, network.initial_log_std, **spaces),
-            "value": Critic(*layers, **spaces),
-        }
-        memory = RandomMemory(memory_size=self._rollouts, num_envs=env.num_envs, device=device)
-        with constructing("PPO"):
-            cfg = PPO_CFG(**settings.ppo, **self._class_arguments(settings, device))
-            self.agent = PPO(models=models, memory=memory, cfg=cfg, **spaces)
-        self.minibatch_rows = self._rollouts * env.num_envs // max(1, cfg.mini_batches)
-        self.num_parameters = library.count_parameters(models.values())
+        layers = (network.units, library.activation_class(network.activation))
+        policy = GaussianPolicy(*layers, network.initial_log_std, **spaces)
+        critic = Critic(*layers, **spaces)
+        self.networks = (policy, critic)
+        cfg = PPO_CFG(**settings.ppo, **self._class_arguments(device))
+        memory = RandomMemory(memory_size=cfg.rollouts, num_envs=task.num_envs, device=device)
+        self.agent = PPO(
+            models={"policy": policy, "value": critic}, memory=memory, cfg=cfg, **spaces
+        )
+        self._rollouts = cfg.rollouts
+        self.minibatch_rows = cfg.rollouts * task.num_envs // cfg.mini_batches
 
-    def _class_arguments(self, settings: SkrlSettings, device: str) -> dict[str, Any]:
-        """Return the arguments of PPO_CFG that are classes or functions, see `_RESERVED`."""
-        scale = settings.reward_scale
-        made: dict[str, Any] = {"rewards_shaper": lambda rewards, *_: rewards * scale}
+    def _class_arguments(self, device: str) -> dict[str, Any]:
+        """Return the arguments of PPO_CFG that are classes or functions."""
+        settings = self._settings
+        made: dict[str, Any] = {
+            "rewards_shaper": lambda rewards, *_: rewards * settings.reward_scale
+        }
         sizes: dict[str, Any] = {}
         if settings.normalize_observations:
-            sizes["observation"] = self._env.observation_space
-            if self._env.state_space is not None:
-                sizes["state"] = self._env.state_space
+            sizes["observation"] = self.env.observation_space
+            if self.env.state_space is not None:
+                sizes["state"] = self.env.state_space
         if settings.normalize_values:
             sizes["value"] = 1
         for name, size in sizes.items():
@@ -125,20 +98,20 @@ class Agent(library.Agent):
             made["learning_rate_scheduler_kwargs"] = {"kl_threshold": settings.target_kl}
         return made
 
-    def learn(self, folder: Path, log_interval: int | None = None) -> None:
+    def learn(self, folder: Path, log_interval: int | None) -> None:
         """See `library.Agent`."""
         experiment = self.agent.cfg.experiment
         self.agent.experiment_dir = str(folder)
-        write = self._rollouts if log_interval is None else log_interval // self._env.num_envs
+        write = self._rollouts if log_interval is None else log_interval // self.env.num_envs
         self.agent.write_interval = experiment.write_interval = max(1, write)
-        interval = self._interval * self._rollouts
+        interval = self._settings.checkpoint_interval * self._rollouts
         self.agent.checkpoint_interval = experiment.checkpoint_interval = interval
         cfg = SequentialTrainerCfg(
-            timesteps=self.max_iterations * self._rollouts,
+            timesteps=self._settings.max_iterations * self._rollouts,
             headless=True,
             close_environment_at_exit=False,
         )
-        SequentialTrainer(cfg=cfg, env=self._env, agents=self.agent).train()
+        SequentialTrainer(cfg=cfg, env=self.env, agents=self.agent).train()
         self.save(folder)
         self.agent.writer.close()
 
@@ -156,19 +129,14 @@ class Agent(library.Agent):
             for name, module in self.agent.checkpoint_modules.items():
                 module.load_state_dict(modules[name])
 
-    def player(self) -> Callable[[], None]:
+    def policy(self) -> Callable[[Any], Any]:
         """See `library.Agent`."""
-        observations, _ = self._env.reset()
 
-        def step() -> None:
-            nonlocal observations
-            with torch.no_grad():
-                _, outputs = self.agent.act(
-                    observations, self._env.state(), timestep=0, timesteps=0
-                )
-            observations, *_ = self._env.step(outputs["mean_actions"])
+        def act(observations: Tensor) -> Tensor:
+            outputs = self.agent.act(observations, self.env.state(), timestep=0, timesteps=0)[1]
+            return outputs["mean_actions"]
 
-        return step
+        return act
 
 
 def mlp(inputs: int, units: Sequence[int], outputs: int, activation: type[nn.Module]) -> nn.Module:
@@ -181,14 +149,7 @@ def mlp(inputs: int, units: Sequence[int], outputs: int, activation: type[nn.Mod
 
 
 class GaussianPolicy(GaussianMixin, Model):
-    """Computes mean actions from observations (n, F); one learned log standard deviation each.
-
-    Args:
-        units: of the hidden layers.
-        activation: of the hidden layers.
-        initial_log_std: of all actions.
-        spaces: observation_space, state_space, action_space and device.
-    """
+    """Mean actions (n, A) of observations (n, F), and one learned log standard deviation each."""
 
     def __init__(
         self,
@@ -208,13 +169,7 @@ class GaussianPolicy(GaussianMixin, Model):
 
 
 class Critic(DeterministicMixin, Model):
-    """Computes values from states (n, S), or from observations (n, F) of a task without states.
-
-    Args:
-        units: of the hidden layers.
-        activation: of the hidden layers.
-        spaces: observation_space, state_space, action_space and device.
-    """
+    """Values (n, 1) of states (n, S), or of observations (n, F) of a task without states."""
 
     def __init__(self, units: Sequence[int], activation: type[nn.Module], **spaces: Any) -> None:
         Model.__init__(self, **spaces)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from isaacgymenvs_lite.tasks.amp.adaptive_starts import AdaptiveStarts
+from isaacgymenvs_lite.tasks.amp.reference_motions import AdaptiveStarts
 
 LENGTHS_S = torch.tensor([0.5, 1.0])
 WEIGHTS = torch.tensor([0.25, 0.75], dtype=torch.float64)

@@ -7,9 +7,9 @@ import math
 import pytest
 import torch
 
-from isaacgymenvs_lite.tasks.anymal_terrain_config import TerrainLearnConfig
 from isaacgymenvs_lite.tasks.anymal_terrain_terms import (
     TERM_NAMES,
+    TerrainLearnConfig,
     WalkStep,
     compute_air_time,
     compute_anymal_terrain_observations,

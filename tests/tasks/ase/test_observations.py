@@ -14,7 +14,7 @@ from torch import Tensor
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import build_amp_observations
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
-from isaacgymenvs_lite.tasks.base.all_body_observations import compute_all_body_observations
+from isaacgymenvs_lite.tasks.base.humanoid_observations import compute_all_body_observations
 
 DT = 1.0 / 30.0
 # float32 of numbers of order 1

@@ -12,14 +12,12 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.tasks import isaacgym_task_map
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import (
+    GetupConfig,
+    HumanoidASEConfig,
     HumanoidHeading,
     HumanoidLocation,
     HumanoidReach,
     HumanoidStrike,
-)
-from isaacgymenvs_lite.tasks.ase.humanoid_ase_config import (
-    GetupConfig,
-    HumanoidASEConfig,
     read_ase_config,
 )
 from isaacgymenvs_lite.tasks.ase.humanoid_ase_getup import HumanoidASEGetup

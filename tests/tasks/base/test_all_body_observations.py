@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from isaacgymenvs_lite.tasks.base.all_body_observations import (
+from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     all_body_observation_groups,
     compute_all_body_observations,
 )

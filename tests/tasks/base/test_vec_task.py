@@ -16,7 +16,7 @@ from torch import Tensor
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.simulation.backend import make_simulation
 from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
-from isaacgymenvs_lite.tasks.base.vec_task import Done, ResetMode, VecTask
+from isaacgymenvs_lite.tasks.base.vec_task import Done, VecTask
 
 CART = """
 <mujoco><option gravity="0 0 0"/><worldbody>
@@ -365,11 +365,11 @@ class LivelyCart(MjcfTask):
 
 @pytest.fixture
 def make_lively() -> Iterator[Callable[..., LivelyCart]]:
-    """Return `make_lively(mode, **attributes)`, whose environment 1 fails in its first step."""
+    """Return `make_lively(**attributes)`, whose environment 1 fails in its first step."""
     made: list[LivelyCart] = []
 
-    def make(mode: ResetMode, **attributes: Any) -> LivelyCart:
-        cls = type("Cart", (LivelyCart,), {"reset_mode": mode, **attributes})
+    def make(**attributes: Any) -> LivelyCart:
+        cls = type("Cart", (LivelyCart,), attributes)
         cart = cls({"env": {"numEnvs": 3}, "sim": {"dt": DT}}, "cpu", "cpu", -1, True)
         made.append(cart)
         cart.reset()
@@ -386,56 +386,35 @@ ALL_IN_ORDER = ["state", "observe", "reward", "failures"]
 
 
 @pytest.mark.parametrize(
-    ("mode", "first", "second"),
+    ("starts_before_physics", "second"),
     [
-        (
-            ResetMode.BEFORE_PHYSICS,
-            ["controls [1.0, 1.0, 1.0]", *ALL_IN_ORDER],
-            ["reset [1]", "controls [1.0, 1.0, 1.0]", *ALL_IN_ORDER],
-        ),
-        (
-            ResetMode.AFTER_PHYSICS,
-            ["controls [1.0, 1.0, 1.0]", *ALL_IN_ORDER],
-            ["controls [1.0, 1.0, 1.0]", "reset [1]", *ALL_IN_ORDER],
-        ),
-        (
-            ResetMode.SAME_STEP,
-            ["controls [1.0, 1.0, 1.0]", "state", "failures", "reward", "reset [1]", "observe"],
-            ["controls [1.0, 1.0, 1.0]", "state", "failures", "reward", "observe"],
-        ),
-        (
-            ResetMode.ON_REQUEST,
-            ["controls [1.0, 1.0, 1.0]", *ALL_IN_ORDER],
-            ["controls [1.0, 1.0, 1.0]", *ALL_IN_ORDER],
-        ),
+        (True, ["reset [1]", "controls [1.0, 1.0, 1.0]", *ALL_IN_ORDER]),
+        (False, ["controls [1.0, 1.0, 1.0]", "reset [1]", *ALL_IN_ORDER]),
     ],
 )
-def test_order_of_a_life(make_lively, mode: ResetMode, first: list[str], second: list[str]) -> None:
-    cart = make_lively(mode)
+def test_order_of_a_life(make_lively, starts_before_physics: bool, second: list[str]) -> None:
+    cart = make_lively(starts_before_physics=starts_before_physics)
     observed, rewards, dones, infos = _push(cart)
-    assert cart.events == first
+    assert cart.events == ["controls [1.0, 1.0, 1.0]", *ALL_IN_ORDER]
     assert dones.tolist() == [0, 1, 0]
     assert infos["time_outs"].tolist() == [False] * 3
     assert cart.done_buf.tolist() == [Done.RUNNING, Done.FAILED, Done.RUNNING]
     assert (rewards > 1.0).all()  # alive, and moving at the end of its last step
-    # The last observation, or the first one of the next episode.
-    in_same_step = mode is ResetMode.SAME_STEP
-    assert (observed[1] == 0.0).all() == in_same_step
-    assert cart.reset_buf.tolist() == [0, int(not in_same_step), 0]
+    assert (observed[1] != 0.0).all()  # the last observation
+    assert cart.reset_buf.tolist() == [0, 1, 0]
     cart.fail[1] = False
     cart.events.clear()
     observed, _, dones, _ = _push(cart)
     assert cart.events == second
     assert dones.tolist() == [0, 0, 0]
     assert (cart.done_buf == Done.RUNNING).all()
-    steps = {ResetMode.AFTER_PHYSICS: 0, ResetMode.ON_REQUEST: 2}
-    assert cart.progress_buf.tolist() == [2, steps.get(mode, 1), 2]
+    assert cart.progress_buf.tolist() == [2, int(starts_before_physics), 2]
 
 
-def test_a_reset_on_request_observes(make_lively) -> None:
-    cart = make_lively(ResetMode.ON_REQUEST)
+@pytest.mark.parametrize("starts_before_physics", [True, False])
+def test_an_episode_starts_earlier_by_reset_done(make_lively, starts_before_physics: bool) -> None:
+    cart = make_lively(starts_before_physics=starts_before_physics)
     last, *_ = _push(cart)
-    assert (last[1] != 0.0).all()
     cart.events.clear()
     first, env_ids = cart.reset_done()
     assert cart.events == ["reset [1]", "observe"]
@@ -443,6 +422,9 @@ def test_a_reset_on_request_observes(make_lively) -> None:
     assert (first["obs"][1] == 0.0).all()
     assert torch.equal(first["obs"][[0, 2]], last[[0, 2]])
     assert (cart.done_buf == Done.RUNNING).all()
+    cart.fail[1] = False
+    _push(cart)
+    assert cart.progress_buf.tolist() == [2, 1, 2]
 
 
 # --- hooks of trainers ------------------------------------------------------------------------

@@ -205,7 +205,7 @@ def test_the_published_settings_of_the_imitating_humanoids(make_task, walk_clip,
 
 
 def test_randomised_drives_of_ball_joints_turn_to_far_targets(make_task, walk_clip) -> None:
-    """Past half a turn MuJoCo's own servos would turn back, see `_keep_servo_errors`."""
+    """Past half a turn MuJoCo's own servos would turn back, see `set_actuators`."""
     task = make_task(
         "task=HumanoidAMP",
         f"task.env.motion_file={walk_clip}",

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from isaacgymenvs_lite.tasks.randomization.sampling import Noise, draw
+from isaacgymenvs_lite.tasks.randomization.randomizer import Noise, draw
 from isaacgymenvs_lite.tasks.randomization.settings import AttributeSettings, NoiseSettings
 
 N = 40_000

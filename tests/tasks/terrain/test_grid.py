@@ -12,8 +12,9 @@ from isaacgymenvs_lite.tasks.terrain.grid import (
     TerrainConfig,
     add_height_field,
     make_terrain,
+    pyramid_slope,
+    pyramid_stairs,
 )
-from isaacgymenvs_lite.tasks.terrain.tiles import pyramid_slope, pyramid_stairs
 
 TILE = (80, 80)
 

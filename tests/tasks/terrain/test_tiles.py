@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from isaacgymenvs_lite.tasks.terrain.tiles import (
+from isaacgymenvs_lite.tasks.terrain.grid import (
     discrete_obstacles,
     middle,
     pyramid_slope,

@@ -11,10 +11,10 @@ import yaml
 pytest.importorskip("stable_baselines3")
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.workflows.library import LIBRARIES
-from isaacgymenvs_lite.workflows.sb3.agent import to_sections
+from isaacgymenvs_lite.workflows.library import load_agent_file
+from isaacgymenvs_lite.workflows.sb3.agent import Agent, to_sections
 
-SB3 = LIBRARIES["sb3"]
+SB3 = "sb3"
 # Keys and values in the form that Isaac Lab's files have; the older form of policy_kwargs below.
 FLAT = {
     "seed": 7,
@@ -84,11 +84,10 @@ def test_an_agent_trains_and_plays_by_a_flat_file(flat_file, run_train, run_play
 
 def test_the_file_reaches_the_algorithm(flat_file):
     from isaacgymenvs_lite import make
-    from isaacgymenvs_lite.workflows.agent_files import load_agent_file
 
     content = load_agent_file("sb3", "Cartpole", str(flat_file), [])
     task = make(task="Cartpole", num_envs=4)
-    model = SB3.make_agent(task, content, "cpu", seed=1).model  # type: ignore[attr-defined]
+    model = Agent(task, content, "cpu", seed=1).model
     task.close()
     assert (model.batch_size, model.n_epochs, model.gae_lambda) == (16, 2, 0.9)
     assert model.lr_schedule(1.0) == pytest.approx(3e-4)
@@ -132,7 +131,7 @@ def test_what_a_flat_file_cannot_say_is_one_line(flat_file, run_train, fails):
     for word, message in [
         ("agent.gama=0.9", "unknown key of agent.ppo 'gama' (did you mean 'gamma'?)"),
         ("agent.rollout_buffer_class=a.B", "unknown key of agent.ppo 'rollout_buffer_class'"),
-        ("agent.policy=CnnPolicy", "expected MlpPolicy"),
+        ("agent.policy=CnnPolicy", "expected one of MlpPolicy"),
         ("agent.policy_kwargs.activation_fn=os.system", "such as nn.ELU"),
         ("agent.policy_kwargs.optimizer_class=torch.optim.SGD", "optimizer_class"),
         ("agent.learning_rate=lin_fast", "expected a number, or lin_"),
