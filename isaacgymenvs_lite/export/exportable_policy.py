@@ -35,12 +35,12 @@ class TensorSpec:
     batch_axis: int = 0
     dtype: torch.dtype = torch.float32
 
-    def sample(self, n: int, scale: float = 1.0) -> Tensor:
-        """Return n random rows: normal with this standard deviation, or fair booleans."""
+    def sample(self, n: int) -> Tensor:
+        """Return n random rows: standard normal, or fair booleans."""
         size = (*self.shape[: self.batch_axis], n, *self.shape[self.batch_axis :])
         if self.dtype == torch.bool:
             return torch.rand(size) < 0.5
-        return scale * torch.randn(size, dtype=self.dtype)
+        return torch.randn(size, dtype=self.dtype)
 
 
 class PolicyGraph(nn.Module):

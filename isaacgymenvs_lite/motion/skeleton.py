@@ -16,7 +16,6 @@ import torch
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.motion.kinematics import FloatArray, world_points
 from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations
 
@@ -147,7 +146,13 @@ class Skeleton:
         # A tree's bodies follow each other, and so do its joints; ids count from the root.
         num_bodies = int(np.count_nonzero(model.body_rootid == root))
         bodies = slice(root, root + num_bodies)
-        joints = _joints(model, root, num_bodies, name)
+        of_robot = (model.jnt_bodyid >= root) & (model.jnt_bodyid < root + num_bodies)
+        joints = np.flatnonzero(of_robot)[1:]  # without the free joint
+        for joint in joints[model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE]:
+            raise ConfigError(
+                f"{name}: joint '{model.joint(joint).name}' is a slide; a clip moves hinges and"
+                " ball joints (the preparation in isaacgymenvs_lite.robots fixes slides)"
+            )
         sizes = [_DOFS_OF_JOINT[int(model.jnt_type[joint])] for joint in joints]
         is_hinge = model.jnt_type[joints] == _HINGE
         foot_body_ids, foot_corners = _foot_corners(model, root, num_bodies)
@@ -176,19 +181,6 @@ class Skeleton:
             followers=followers if followers.joints else None,
         )
 
-    def sole_corners(self, positions: FloatArray, rotation: FloatArray) -> FloatArray:
-        """Return the world positions (T, 2, 4, 3) m of the soles' corners, right foot first.
-
-        `positions` (T, J, 3) m and `rotation` (T, J, 4) xyzw are of the bodies in the world.
-        """
-        soles = []
-        for name in ("right_foot", "left_foot"):
-            foot = self.body_names.index(name)
-            corners = self.foot_corners[[body == foot for body in self.foot_body_ids]]
-            sole = corners[corners[:, 2] == corners[:, 2].min()]
-            soles.append(world_points([foot] * len(sole), sole, positions, rotation))
-        return np.stack(soles, axis=1)
-
 
 @functools.lru_cache
 def skeleton_for_num_dofs(num_dofs: int) -> Skeleton:
@@ -211,19 +203,6 @@ def shipped_humanoid_with(body_names: Sequence[str]) -> str | None:
         if set(skeleton_for_num_dofs(num_dofs).body_names) == set(body_names):
             return file
     return None
-
-
-def _joints(model: mujoco.MjModel, root: int, num_bodies: int, name: str) -> npt.NDArray[np.int64]:
-    """Return the ids (G,) of the joints of the robot, the free joint left out."""
-    bodies = model.jnt_bodyid[1:]
-    joints = 1 + np.flatnonzero((bodies >= root) & (bodies < root + num_bodies))
-    for joint in joints:
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
-            raise ConfigError(
-                f"{name}: joint '{model.joint(joint).name}' is a slide; a clip moves hinges and"
-                " ball joints (the preparation in isaacgymenvs_lite.robots fixes slides)"
-            )
-    return joints
 
 
 def _foot_corners(

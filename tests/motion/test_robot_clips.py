@@ -87,7 +87,6 @@ def _angle_between(a: np.ndarray, b: np.ndarray) -> float:
 def _expect_mujocos_poses(skeleton: Skeleton, clip: MotionClip, qpos: np.ndarray) -> None:
     """Compare the clip's forward kinematics with mj_forward's."""
     model = skeleton.model
-    assert model is not None
     data = mujoco.MjData(model)
     first = model.body(skeleton.body_names[0]).id
     bodies = slice(first, first + skeleton.num_bodies)
@@ -154,7 +153,6 @@ def test_forward_kinematics_of_robots(name: str, moving: Moving) -> None:
 
 
 def test_qpos_comes_back(robot: Skeleton, clip: MotionClip, moving: Moving) -> None:
-    assert robot.model is not None
     poses = moving(robot)
     back = qpos_from_clip(robot, clip)
     assert np.abs(poses[:, 7:13]).max() > np.pi
@@ -200,7 +198,6 @@ def test_velocities_are_mujocos_finite_differences(
     robot: Skeleton, clip: MotionClip, lib: MotionLib, moving: Moving
 ) -> None:
     model = robot.model
-    assert model is not None
     poses = np.tile(model.qpos0, (clip.num_frames, 1))
     poses[:, :21] = moving(robot)
     state = lib.get_motion_state([0] * clip.num_frames, np.arange(clip.num_frames) / FPS)
@@ -215,7 +212,7 @@ def test_a_hinge_turns_on_beyond_pi(tmp_path: Path, humanoid: Skeleton, plain: S
     for skeleton in (plain, humanoid):
         dof = _hinges(skeleton)[0]
         group = skeleton.dof_offsets.index(dof)
-        poses = np.tile(skeleton.model.qpos0, (50, 1))  # pyright: ignore[reportOptionalMemberAccess]
+        poses = np.tile(skeleton.model.qpos0, (50, 1))
         angles = np.linspace(-3.5, 3.5, 50)
         poses[:, skeleton.qpos_addresses[group]] = angles
         file = save_npz(tmp_path / "turn.npz", clip_from_qpos("turn", FPS, skeleton, poses))
@@ -273,7 +270,7 @@ def test_cutting_and_resampling(robot: Skeleton, clip: MotionClip) -> None:
 
 
 def test_a_ball_joint_is_resampled_across_half_a_turn(plain: Skeleton) -> None:
-    poses = np.tile(plain.model.qpos0, (2, 1))  # pyright: ignore[reportOptionalMemberAccess]
+    poses = np.tile(plain.model.qpos0, (2, 1))
     half = 0.5 * np.array([np.pi - 0.2, np.pi + 0.4])
     poses[:, 9], poses[:, 12] = np.cos(half), np.sin(half)
     clip = clip_from_qpos("spin", FPS, plain, poses)
