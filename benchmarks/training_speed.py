@@ -40,8 +40,8 @@ from benchmarks.from_inside import EpochTimes, last_number_of, train_from_inside
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import seed_everything
-from isaacgymenvs_lite.learning import central_value
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
+from isaacgymenvs_lite.learning.cpu import parallel
 from isaacgymenvs_lite.learning.cpu.parallel import NetworkExecutor
 from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
@@ -57,15 +57,15 @@ _TIMED: tuple[tuple[type, str, str], ...] = (
     (VecTask, "reset_done", "environment: resets"),
     (CpuBatchSimulation, "step", "environment: physics and its state tensors"),
     (AMPAgent, "get_action_values", "policy: actions and values"),
-    (AMPAgent, "_evaluate_bootstrap_queue", "policy: values after the step"),
+    (AMPAgent, "_eval_critic", "policy: values after the step"),
     (AMPAgent, "_calc_amp_rewards", "discriminator reward"),
     (AMPAgent, "discount_values", "advantages"),
-    (AMPAgent, "_before_update", "demonstrations and replay: sampling"),
+    (AMPAgent, "_draw_disc_rows", "demonstrations and replay: sampling"),
     (AMPAgent, "_after_update", "demonstrations and replay: storing"),
     (AMPAgent, "prepare_dataset", "normalised values and advantages"),
     (AMPAgent, "_run_mini_epochs", "update: gathering minibatches"),
     (AMPAgent, "calc_gradients", "update: networks, losses and their gradients"),
-    (AMPAgent, "_update_normalizers", "update: statistics of the normalisers"),
+    (AMPAgent, "prepare_minibatch", "update: statistics of the normalisers"),
     (AMPAgent, "trancate_gradients_and_step", "update: optimiser"),
     (AMPAgent, "_track_episodes", "episode statistics"),
     (AMPAgent, "write_stats", "logging"),
@@ -264,7 +264,7 @@ def _least_s(part: Callable[[], None]) -> float:
 
 def published_loop(args: argparse.Namespace) -> None:
     """Make the agent evaluate as the published loop does, in float32 with torch's own threads."""
-    central_value.parallelize = lambda model, device, precision: NetworkExecutor(device)
+    parallel.parallelize = lambda model, device, precision: NetworkExecutor(device)
     AMPAgent._needs_next_value = lambda agent: torch.ones_like(agent.dones, dtype=torch.bool)  # type: ignore[method-assign]
     reset = AMPAgent.env_reset
 

@@ -71,8 +71,10 @@ def _register_all() -> None:
 
     from gymnasium.envs.registration import register, registry
 
+    files = sorted((cfg_dir() / "task").glob("*.yaml"))
+    shipped = (file.stem for file in files if file.stem not in PARTS)
     offered = (point.name for point in entry_points(group=ENTRY_POINTS))
-    for task in (*_shipped(), *offered, *_waiting):
+    for task in (*shipped, *offered, *_waiting):
         _register(task)
     for name, task in _ISAAC_LAB_IDS.items():
         if name not in registry:
@@ -97,12 +99,6 @@ def _register(task: str) -> None:
         vector_entry_point=f"{_FACTORY}:make_vector_env",
         kwargs={"task": task},
     )
-
-
-def _shipped() -> list[str]:
-    """Return the names of the task files."""
-    files = sorted((cfg_dir() / "task").glob("*.yaml"))
-    return [file.stem for file in files if file.stem not in PARTS]
 
 
 class _WhenImported(MetaPathFinder):

@@ -89,7 +89,7 @@ def register_networks() -> None:
     """Register our models, networks and tasks with rl_games, for all Runners."""
     # rl_games scripts its normalisers, for which torch 2.14 prints a warning that no user can mend.
     warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
-    # Of the first backward pass on a GPU; torch makes the context itself then.
+    # The first backward pass on a GPU warns; torch makes the context itself then.
     no_context = "Attempting to run cuBLAS, but there was no current CUDA context"
     warnings.filterwarnings("ignore", no_context, UserWarning)
     if _ENV_NAME not in env_configurations.configurations:

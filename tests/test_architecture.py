@@ -45,7 +45,7 @@ def module_of(path: Path) -> str:
 
 
 def room_of(module: str) -> str:
-    """First name below the package: 'learning' for isaacgymenvs_lite.learning.losses."""
+    """First name below the package: 'learning' for isaacgymenvs_lite.learning.sac."""
     return module.split(".")[1] if "." in module else ""
 
 

@@ -47,6 +47,7 @@ _OTHERS = {
     f"{_SIMULATOR}.torch_utils": f"{_NEW}.isaacgymenvs_compat.torch_jit_utils",
     _GYM: f"{_NEW}.isaacgymenvs_compat.gym",
     f"{_GYM}.wrappers": f"{_NEW}.isaacgymenvs_compat.gym_wrappers",
+    "rl_games.torch_runner": f"{_NEW}.isaacgymenvs_compat.runner",
 }
 
 
@@ -56,10 +57,12 @@ class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def find_spec(
         self, fullname: str, path: Any = None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
-        """Return a spec for names of the old package, of the simulator, and of a missing gym."""
+        """Return a spec for a name that means one of our modules, None for any other."""
         root = fullname.partition(".")[0]
-        if root not in (_OLD, _SIMULATOR, _GYM):
+        if root not in (_OLD, _SIMULATOR, _GYM) and fullname not in _OTHERS:
             return None
+        if root == "rl_games" and _OTHERS[fullname] in sys.modules:
+            return None  # our module imports rl_games' own
         if root == _GYM and importlib.machinery.PathFinder.find_spec(_GYM) is not None:
             return None
         return importlib.machinery.ModuleSpec(fullname, self, is_package=True)
@@ -78,10 +81,10 @@ class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         else:
             name = ".".join(part for part in (_NEW, RENAMED.get(rest, rest)) if part)
         module = _import(name, spec.name, absent_because(rest))
-        if spec.name == f"{_OLD}.utils.rlgames_utils":  # scripts make rl_games' Runner next
-            from isaacgymenvs_lite.isaacgymenvs_compat.runner import adapt_runner
+        if spec.name == f"{_OLD}.utils.rlgames_utils":  # scripts register their own names next
+            from isaacgymenvs_lite.registration import register_networks
 
-            adapt_runner()
+            register_networks()
         spec.loader_state = module.__spec__
         return module
 
@@ -125,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.exit(EXIT_USER_ERROR, f"error: {args.script}: no such file; give a Python script\n")
     install()
     sys.argv = [str(args.script), *args.arguments]
-    # As python does for a script: its neighbours can be imported.
+    # Modules in the script's folder can be imported, like with python.
     sys.path.insert(0, str(args.script.resolve().parent))
     # A script that sets up no logging shows the log of this package.
     logging.getLogger(_NEW).setLevel(logging.INFO)

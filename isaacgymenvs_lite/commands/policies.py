@@ -30,7 +30,7 @@ class PackSettings:
     checkpoint: str = setting()
     """A .pth file in the folder nn/ of a run, or `last`."""
     name: str = setting()
-    """Of the policy."""
+    """Name of the policy."""
     clip: str = setting("")
     """The shipped clip that it imitates; '': the clip of the run."""
     out: str = setting("")

@@ -204,8 +204,7 @@ def joined_group(
             " set); start several with torchrun --standalone --nproc-per-node=2 -m"
             " isaacgymenvs_lite.train ... multi_gpu=True, or train in one with multi_gpu=False"
         )
-    names = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE")
-    group = ProcessGroup(*(int(os.environ[name]) for name in names))
+    group = ProcessGroup(*(int(os.environ[name]) for name in _VARIABLES[:4]))
     on_gpu = device.startswith("cuda")
     if on_gpu and group.local_size > torch.cuda.device_count():
         mistake = mistake or ConfigError(

@@ -1,4 +1,4 @@
-"""The keys of `train.params.config` that AMP, GenAMP and HRL agents read beside PPO's."""
+"""The keys of `train.params.config` that AMP, GenAMP and HRL agents read in addition to PPO's."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class AMPParams:
     """Weight of its squared gradient on reference rows."""
     disc_grad_penalty_final: float | None = setting(None, minimum=0)
     """New here: what that weight comes to when the policy stays up, see
-    `discriminator.scheduled_grad_penalty`; None = it is constant. A large one leads to policies
+    `AMPAgent._schedule_grad_penalty`; None = it is constant. A large one leads to policies
     that stay up, a small one sees whether they move."""
     disc_reward_scale: float = setting()
     """Factor of the style reward."""
@@ -82,7 +82,7 @@ class AMPParams:
 
 @dataclass(frozen=True, kw_only=True)
 class GenAMPParams(AMPParams):
-    """The keys of GenAMP beside AMP's; names and meanings as in ASE unless they are marked."""
+    """The keys that GenAMP adds to AMP's; names and meanings as in ASE unless they are marked."""
 
     latent_dim: int = setting(minimum=2)
     """Numbers in a latent."""
@@ -141,11 +141,11 @@ class HRLParams:
     """Weight of the low-level controller's style reward."""
     exploration_correlation: float = setting(0.0, minimum=0, maximum=0.99)
     """New here: correlation of the exploration noise of consecutive steps; see
-    `correlated_noise`."""
+    `CorrelatedNoise`."""
 
 
 AGENT_KEYS = frozenset((*keys_of(GenAMPParams), *keys_of(HRLParams), *UNREAD_KEYS))
-"""All keys that the agents of this project read or accept beside PPO's."""
+"""All keys that the agents of this project read or accept in addition to PPO's."""
 
 P = TypeVar("P", bound=AMPParams | HRLParams)
 
@@ -154,7 +154,7 @@ def read_agent_params(config: Mapping[str, Any], cls: type[P]) -> P:
     """Check the keys of `train.params.config` that a class of this module has.
 
     Args:
-        config: with PPO's keys beside them.
+        config: also with PPO's keys.
         cls: AMPParams, GenAMPParams or HRLParams.
 
     Raises:

@@ -1,4 +1,4 @@
-"""AMPAgent: PPO with a style reward from a discriminator that is trained beside it.
+"""AMPAgent: PPO with a style reward from a discriminator that learns at the same time.
 
 Peng et al. 2021, "AMP: Adversarial Motion Priors for Stylized Physics-Based Character Control"
 (arXiv 2104.02180), in the form of IsaacGymEnvs; docs/amp.md lists the differences.
@@ -23,14 +23,12 @@ from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.env_interface import AMPEnv, TrackingDemo, require
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent, LossTerms
-from isaacgymenvs_lite.learning.losses import normalize_advantages
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
     StyleDiscriminator,
     StyleLosses,
     disc_obs_size,
 )
-from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.restoring import Parts
@@ -58,7 +56,7 @@ class AMPAgent(StyleLosses, CommonAgent):
 
     Attributes:
         default_disc_reward: the style reward when the key `disc_reward` is absent.
-        params_class: the keys that it reads beside PPO's.
+        params_class: the keys that it reads in addition to PPO's.
         env_contract: the members that it needs of a task.
         discriminator: its network, normaliser and reward.
         frozen_until: last epoch in which the actor does not learn, after a warm start.
@@ -213,11 +211,6 @@ class AMPAgent(StyleLosses, CommonAgent):
         """Return the latents (n, Z) under which the actor learns a demonstration; None: none."""
         return None
 
-    def _frozen_parameters(self) -> list[torch.nn.Parameter]:
-        if self.frozen_until == 0 or self.epoch_num > self.frozen_until:
-            return []
-        return actor_parameters(self.model.a2c_network)
-
     def _init_amp_demo_buf(self) -> None:
         """Fill the buffer of demonstrations."""
         size = self._amp_obs_demo_buffer.get_buffer_size()
@@ -264,17 +257,23 @@ class AMPAgent(StyleLosses, CommonAgent):
         style_rewards = self._amp.disc_reward_w * amp_rewards["disc_rewards"]
         return self._amp.task_reward_w * task_rewards + style_rewards
 
-    # --- update ----------------------------------------------------------------------------
+    # --- training set ----------------------------------------------------------------------
 
-    def _before_update(self, batch_dict: dict[str, Any]) -> None:
-        """Fetch new demonstrations, and draw the real and fake rows for the discriminator."""
-        self._log_rewards()
+    def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
+        """As CommonAgent, with AMP observations of the rollout, of earlier ones and of clips."""
+        task, style = (self._rollout_rewards[name] for name in ("task_rewards", "disc_rewards"))
+        of_task = (self._amp.task_reward_w * task.mean()).abs()
+        of_style = (self._amp.disc_reward_w * style.mean()).abs()
+        self.collect({"style_share": of_style / (of_task + of_style).clamp(min=1e-8)})
         self._schedule_grad_penalty()
+        is_frozen = self.frozen_until > 0 and self.epoch_num <= self.frozen_until
+        self._frozen = actor_parameters(self.model.a2c_network) if is_frozen else []
         self._update_amp_demos()
-        rows = len(batch_dict["amp_obs"])
-        batch_dict |= self._demo_disc_batch(self._amp_obs_demo_buffer.sample(rows))
-        for name, values in self._replayed_disc_batch(batch_dict).items():
-            batch_dict[name.replace("amp_obs", "amp_obs_replay", 1)] = values
+        self._draw_disc_rows(batch_dict)
+        super().prepare_dataset(batch_dict)
+        for name in (*_AMP_OBS_KINDS, "rand_action_mask"):
+            if name in batch_dict:
+                self.dataset.values_dict[name] = batch_dict[name]
 
     def _schedule_grad_penalty(self) -> None:
         """Lower the gradient penalty as episodes become longer, if it has a final value.
@@ -285,7 +284,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         if final is None or max_steps is None:
             return
         episodes = self.game_lengths.current_size
-        # Of all processes; one of them may have had no end of an episode yet.
+        # Of all processes; in one of them no episode may have ended yet.
         sums = torch.tensor([episodes, episodes * self.game_lengths.get_mean().item()])
         episodes, steps = current_group().sum_(sums).tolist()
         if episodes > 0:
@@ -296,59 +295,31 @@ class AMPAgent(StyleLosses, CommonAgent):
         first, progress = self._amp.disc_grad_penalty, self.staying_up
         weight = float(first ** (1.0 - progress) * min(first, final) ** progress)
         self.discriminator.grad_penalty = weight
-        self.train_log.add({"disc_grad_penalty_weight": torch.tensor(weight)})
+        self.collect({"disc_grad_penalty_weight": torch.tensor(weight)})
 
-    def _demo_disc_batch(self, demos: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return the real rows for the discriminator, given rows of the demonstrations."""
-        return {"amp_obs_demo": demos["amp_obs"]}
+    def _draw_disc_rows(self, batch_dict: dict[str, Any]) -> None:
+        """Add `amp_obs_demo`, from the clips, and `amp_obs_replay`, from earlier rollouts.
 
-    def _agent_disc_batch(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
-        """Return the fake rows, given the rollout's; their names begin with `amp_obs`."""
-        return {"amp_obs": batch_dict["amp_obs"]}
+        Before the first update the rollout's own rows take the place of earlier ones.
+        """
+        fakes = batch_dict["amp_obs"]
+        batch_dict["amp_obs_demo"] = self._amp_obs_demo_buffer.sample(len(fakes))["amp_obs"]
+        if self._amp_replay_buffer.get_total_count() > 0:
+            fakes = self._amp_replay_buffer.sample(len(fakes))["amp_obs"]
+        batch_dict["amp_obs_replay"] = fakes
 
-    def _replayed_disc_batch(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
-        """Return as many fake rows of earlier rollouts; before the first update the same rows."""
-        fakes = self._agent_disc_batch(batch_dict)
-        if self._amp_replay_buffer.get_total_count() == 0:
-            return fakes
-        return self._amp_replay_buffer.sample(len(fakes["amp_obs"]))
-
-    def _log_rewards(self) -> None:
-        task, style = self._rollout_rewards["task_rewards"], self._rollout_rewards["disc_rewards"]
-        task_part = self._amp.task_reward_w * task.mean()
-        style_part = self._amp.disc_reward_w * style.mean()
-        total = (task_part.abs() + style_part.abs()).clamp(min=1e-8)
-        self.train_log.add(
-            {
-                "disc_reward_mean": style.mean(),
-                "disc_reward_std": style.std(),
-                "task_reward_mean": task.mean(),
-                "style_share": style_part.abs() / total,
-            }
-        )
-
-    def _calc_advs(self, batch_dict: dict[str, Any]) -> Tensor:
-        """As CommonAgent, with the moments of the rows that explored."""
-        if not (self._masks_exploration and self.normalize_advantage):
-            return super()._calc_advs(batch_dict)
-        advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
-        return normalize_advantages(advantages, batch_dict["rand_action_mask"])
-
-    def _minibatch_extras(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        rows = super()._minibatch_extras(input_dict)
+    def prepare_minibatch(self, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
+        """As CommonAgent, with the weights of rows that explored and noise on AMP observations."""
+        rows = super().prepare_minibatch(minibatch)
         if self._masks_exploration:
-            mask = input_dict["rand_action_mask"]
+            mask = minibatch["rand_action_mask"]
             share = current_group().mean(mask.mean())  # of rows that explored
             rows["row_weights"] = mask / share.clamp(min=1.0 / len(mask))
         if self._amp.disc_input_noise > 0.0:
             for name in _AMP_OBS_KINDS:
-                noise = torch.randn_like(input_dict[name])
+                noise = torch.randn_like(minibatch[name])
                 rows[f"{name}_noise"] = self._amp.disc_input_noise * noise
         return rows
-
-    def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
-        mask = ("rand_action_mask",) if self._masks_exploration else ()
-        return {name: batch_dict[name] for name in (*_AMP_OBS_KINDS, *mask)}
 
     def _dataset_row_limits(self) -> dict[str, int]:
         return dict.fromkeys(_AMP_OBS_KINDS, self._amp_minibatch_size)
@@ -356,22 +327,20 @@ class AMPAgent(StyleLosses, CommonAgent):
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return normalised AMP observations, and the noise that is added to them."""
         inputs = super()._training_inputs(input_dict)
-        noise = (f"{name}_noise" for name in _AMP_OBS_KINDS)
-        inputs |= {name: input_dict[name] for name in noise if name in input_dict}
         for name in _AMP_OBS_KINDS:
             inputs[name] = self._preproc_amp_obs(input_dict[name])
+            if f"{name}_noise" in input_dict:
+                inputs[f"{name}_noise"] = input_dict[f"{name}_noise"]
         if not self._disc_loss_takes_gradient:
             inputs["amp_obs_demo"].requires_grad_()
         return inputs
 
-    def _normalizer_inputs(
-        self, input_dict: dict[str, Tensor]
-    ) -> list[tuple[RunningMeanStd, list[Tensor]]]:
-        counts = super()._normalizer_inputs(input_dict)
+    def _normalizer_inputs(self, input_dict: dict[str, Tensor]) -> list[tuple[Any, ...]]:
+        inputs = super()._normalizer_inputs(input_dict)
         if self.discriminator.normalizer is not None:
-            rows = [input_dict[name] for name in _AMP_OBS_KINDS]
-            counts.append((self.discriminator.normalizer, rows))
-        return counts
+            kinds = map(input_dict.__getitem__, _AMP_OBS_KINDS)
+            inputs.append((self.discriminator.normalizer, *kinds))
+        return inputs
 
     def _extra_losses(
         self, result: dict[str, Tensor], batch: dict[str, Any], input_dict: dict[str, Tensor]
@@ -382,25 +351,17 @@ class AMPAgent(StyleLosses, CommonAgent):
         info = self._disc_loss(
             agent_logit, result["disc_demo_logit"], batch["amp_obs_demo"], *gradient
         )
-        weights = {"disc_loss": self._amp.disc_coef}
-        return terms | {
-            name: (weights.get(name, 0.0), value.mean()) for name, value in info.items()
-        }
+        for name, value in info.items():
+            terms[name] = (self._amp.disc_coef if name == "disc_loss" else 0.0, value.mean())
+        return terms
 
     def _after_update(self, batch_dict: dict[str, Any]) -> None:
-        """Store the policy's AMP observations: all until the buffer is full, then a few."""
-        self._store_replay_amp_obs(**self._agent_disc_batch(batch_dict))
+        self._store_replay_amp_obs(batch_dict["amp_obs"])
 
     def _store_replay_amp_obs(self, amp_obs: Tensor, **others: Tensor) -> None:
-        """Store AMP observations (n, F), and other columns of the same rows."""
+        """Store rows (n, F) and other columns: all until the buffer is full, then a few."""
         rows = {"amp_obs": amp_obs, **others}
         self._amp_replay_buffer.store_some(rows, self._amp.amp_replay_keep_prob)
-
-    def _record_train_batch_info(
-        self, batch_dict: dict[str, Any], train_info: dict[str, Any]
-    ) -> None:
-        super()._record_train_batch_info(batch_dict, train_info)
-        train_info["disc_rewards"] = batch_dict["disc_rewards"]
 
     # --- checkpoint ------------------------------------------------------------------------
 

@@ -19,12 +19,7 @@ class AMPDataset(PublishedNames, PPODataset):
     the rollout's: unlike in rl_games they are not rewritten between minibatches.
 
     Args:
-        batch_size: rows of an epoch.
-        minibatch_size: rows of a minibatch; divides batch_size.
-        is_discrete: discrete actions.
-        is_rnn: recurrent networks (not supported by this dataset's users).
-        device: of the rows.
-        seq_length: for recurrent networks.
+        batch_size, minibatch_size, is_discrete, is_rnn, device, seq_length: as in rl_games.
         row_limits: name -> how many rows of a minibatch are read, the first ones; the others are
             not gathered.
     """

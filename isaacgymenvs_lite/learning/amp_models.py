@@ -12,11 +12,10 @@ from isaacgymenvs_lite.learning.modules.discriminator import eval_discriminator
 class ModelAMPContinuous(ModelA2CContinuousLogStd):
     """`model: name: continuous_amp`; normalisers of observations and values live inside it.
 
-    With `amp_obs`, `amp_obs_replay` and `amp_obs_demo` (normalised, (K, F) each) in a training
-    input, the output has `disc_agent_logit`, `disc_agent_replay_logit` and `disc_demo_logit`
-    (K, 1), and `disc_demo_gradient` (K, F), beside the outputs of `ModelA2CContinuousLogStd`. If
-    `amp_obs_noise`, `amp_obs_replay_noise`, `amp_obs_demo_noise` (K, F) are given, they are added
-    to the discriminator's inputs.
+    A training input with `amp_obs`, `amp_obs_replay` and `amp_obs_demo` (normalised, (K, F) each)
+    adds `disc_agent_logit`, `disc_agent_replay_logit` and `disc_demo_logit` (K, 1), and
+    `disc_demo_gradient` (K, F) to the outputs. `amp_obs_noise`, `amp_obs_replay_noise` and
+    `amp_obs_demo_noise` (K, F), if given, are added to the discriminator's inputs.
     """
 
     def __init__(self, network: Any) -> None:

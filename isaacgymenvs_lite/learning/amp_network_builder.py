@@ -23,12 +23,12 @@ DEFAULT_INITIALIZER = {"name": "default"}
 class AMPBuilder(A2CBuilder):
     """Builds the network of the section `network:` with `name: amp`.
 
-    Parameter names are those of IsaacGymEnvs, so that its checkpoints load:
+    Parameters have the names of IsaacGymEnvs, so that its checkpoints load:
     `sigma, actor_mlp, critic_mlp, value, mu, _disc_mlp, _disc_logits`.
     """
 
     class Network(DiscriminatorLayers, ActorCriticNetwork):
-        """Actor and critic, and a discriminator beside them.
+        """Actor, critic and discriminator.
 
         Args:
             params: the section `network:`.

@@ -28,8 +28,8 @@ log = logging.getLogger(__name__)
 class AMPPlayerContinuous(StyleRewards, CommonPlayer):
     """The player of `amp_continuous` and `amp`.
 
-    Keys beside CommonPlayer's: `print_disc_prediction` in `params.config` logs the discriminator's
-    logit and reward of environment 0 at every step.
+    The key `print_disc_prediction` in `params.config` logs the discriminator's logit and reward of
+    environment 0 at every step.
     """
 
     _normalize_amp_input = ReadOnly("_amp.normalize_amp_input")
@@ -75,7 +75,7 @@ class AMPPlayerContinuous(StyleRewards, CommonPlayer):
         return reward
 
     def _disc_latents(self) -> tuple[Tensor, ...]:
-        """Return the discriminator's inputs beside the current AMP observations (N, F)."""
+        """Return the discriminator's inputs in addition to AMP observations (N, F)."""
         return ()
 
     def _post_step(self, info: dict[str, Any]) -> None:

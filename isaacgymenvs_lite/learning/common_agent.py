@@ -1,10 +1,10 @@
 """CommonAgent: PPO as IsaacGymEnvs' CommonAgent has it, and the only rollout and update loop here.
 
-From top to bottom: constructor, rollout, bootstrap, update, loss, logging, checkpoint. rl_games'
-`train()` calls `train_epoch` once per epoch, so that checkpoints and stop rules are rl_games'.
-Agents override the methods that the loops call, never the loops. A method that the agents of
-IsaacGymEnvs or ASE have too has their name and arguments; `published_names` lists the others of
-theirs. N environments, horizon H, batch B = N * H.
+rl_games' `train()` calls `train_epoch` once per epoch, so that checkpoints and stop rules are
+rl_games'. The file follows an epoch: constructor, epoch, rollout, training set, gradient step,
+loss, learning rate, log, checkpoint. Agents override the methods that the loops call, never the
+loops. Methods that the agents of IsaacGymEnvs or ASE have too keep their names and arguments;
+`published_names` lists the names that are not here. N environments, horizon H, batch B = N * H.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 import torch
 from rl_games.algos_torch import torch_ext
+from rl_games.algos_torch.central_value import CentralValueTrain
 from rl_games.common.a2c_common import ContinuousA2CBase, swap_and_flatten01
 from torch import Tensor
 
@@ -22,36 +23,38 @@ from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.env_interface import Env, diverged_in, failures
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
-from isaacgymenvs_lite.learning.central_value import make_central_value, take_models
-from isaacgymenvs_lite.learning.data_parallel import leave_out_nccl
+from isaacgymenvs_lite.learning.cpu.parallel import take_models
 from isaacgymenvs_lite.learning.diverged import RolloutMask, fit_datasets, take_rows
-from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, count_in_jointly
+from isaacgymenvs_lite.learning.modules.running_mean_std import (
+    RunningMeanStd,
+    count_in_jointly,
+    normalize_advantages,
+)
 from isaacgymenvs_lite.learning.published_names import (
     AGENT_NAMES,
     ExplainedNames,
     is_overridden,
 )
-from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
+from isaacgymenvs_lite.learning.safeguards import PPOSafeguards, leave_out_nccl
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 LossTerms = dict[str, tuple[float, Tensor]]
-"""{name: (weight, term)}: terms are numbers, means over rows or the same for all of them. Their
-weighted sum is the loss, their names are what is logged; a weight of 0 only logs."""
+"""{name: (weight, term)}: the loss is the weighted sum of the terms, which are means over rows.
+Terms are logged under their names; a weight of 0 only logs."""
 
 
 class CommonAgent(ExplainedNames, PPOSafeguards):
     """PPO that resets ended episodes before it acts, and bootstraps with the value after each step.
 
-    `PPOSafeguards` restores, saves, and checks for numbers that are not finite; its base is
-    rl_games' A2CAgent. docs/amp.md and `losses` list the differences from that one.
+    `PPOSafeguards` restores, saves, and checks that values are finite; its base is rl_games'
+    A2CAgent. docs/amp.md lists the differences from rl_games.
 
     Attributes:
-        scalars: what the agent collects -> its name in TensorBoard.
-        unsupported_keys: of `params.config`, which rl_games has and these agents refuse.
+        scalars: name of a collected scalar -> its name in TensorBoard.
+        unsupported_keys: keys of `params.config` that rl_games has and these agents refuse.
         control_steps_per_action: steps of the environment that `env_step` makes; frames count them.
-        train_log: scalars of the current epoch.
+        train_log: scalars of the current epoch by name, one for each minibatch or epoch.
         has_restored: whether a checkpoint was loaded.
 
     Args:
@@ -88,7 +91,12 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         params: dict[str, Any] | None = None,
         config: dict[str, Any] | None = None,
     ) -> None:
-        self._section = self._complete_section(given_params(params, config))
+        self._section = given_params(params, config)
+        if not isinstance(self._section.get("config"), Mapping):
+            raise ConfigError(
+                "an agent's params have no section 'config': expected the section params of a"
+                " train file (algo, model, network, config), as rl_games' Runner passes it"
+            )
         self._precision = _prepare_settings(self._section["config"], self.unsupported_keys)
         # Not A2CAgent's constructor: it builds the model before the agent's own keys are read.
         ContinuousA2CBase.__init__(self, base_name, self._section)
@@ -98,7 +106,13 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self._setup_action_space()
         self._build_model(self._precision)
         self._build_modules()
-        self._build_optimizer()
+        self.last_lr = float(self.last_lr)
+        self._learned = [p for p in self.model.parameters() if p.requires_grad]
+        self._frozen: list[torch.nn.Parameter] = []  # does not learn in this epoch
+        decay = self.weight_decay
+        self.optimizer = torch.optim.Adam(
+            self._parameter_groups(), self.last_lr, eps=1e-8, weight_decay=decay, fused=True
+        )
         self.dataset = AMPDataset(
             self.batch_size,
             self.minibatch_size,
@@ -108,28 +122,14 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             self.seq_length,
             row_limits=self._dataset_row_limits(),
         )
-        self.train_log = TrainingLog(self.scalars)
+        self.train_log: dict[str, list[Tensor]] = {}
         self._epoch_info: dict[str, Any] = {}
         self._rollout_rewards: dict[str, Tensor] = {}
-        self._bootstrap_queue: list[tuple[Tensor, dict[str, Tensor]]] = []
         self._mask = RolloutMask(self.horizon_length)
         # A policy call returns the model's values, not the values of a subclass' own critic.
         self._has_own_critic = is_overridden(self, CommonAgent._eval_critic)
         self._restored_best: float | None = None
         self.algo_observer.after_init(self)
-
-    def _complete_section(self, given: dict[str, Any]) -> dict[str, Any]:
-        """Return the section `params` of a train file, of what the constructor received.
-
-        Raises:
-            ConfigError: it is no such section.
-        """
-        if not isinstance(given.get("config"), Mapping):
-            raise ConfigError(
-                "an agent's params have no section 'config': expected the section params of a"
-                " train file (algo, model, network, config), as rl_games' Runner passes it"
-            )
-        return given
 
     def _load_config_params(self, config: dict[str, Any]) -> None:
         """Read the agent's own keys of `params.config`; the networks do not exist yet."""
@@ -156,10 +156,10 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         with one_torch_thread():  # initialisers that factorise differ in the last bits by threads
             self.model = self.network.build(self._build_net_config())
             if self.has_central_value:
-                self.central_value_net = make_central_value(self)
+                self.central_value_net = _make_central_value(self)
         self.model.to(self.ppo_device)
         self.executor = take_models(self, self.ppo_device, mixed_precision)
-        # As rl_games: beside an asymmetric critic the network's own may still learn.
+        # As rl_games: with an asymmetric critic the network's own critic may still learn.
         own_learns = bool(self.config.get("use_experimental_cv", True))
         self.has_value_loss = own_learns or not self.has_central_value
         self.states = None
@@ -168,18 +168,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             raise ConfigError("train.params.network.rnn is not supported by AMP-family agents")
 
     def _build_modules(self) -> None:
-        """Build what an agent needs beside the model, which exists."""
-
-    def _build_optimizer(self) -> None:
-        self.last_lr = float(self.last_lr)
-        self._learned = [p for p in self.model.parameters() if p.requires_grad]
-        self.optimizer = torch.optim.Adam(
-            self._parameter_groups(),
-            self.last_lr,
-            eps=1e-8,
-            weight_decay=self.weight_decay,
-            fused=True,
-        )
+        """Build what an agent needs in addition to the model, which exists."""
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
         """Return Adam's parameter groups; the first follows the learning rate's schedule.
@@ -215,24 +204,71 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def _init_train(self) -> None:
         """Called once, before the first rollout: buffers exist, environments are not reset yet."""
 
+    # --- epoch -----------------------------------------------------------------------------
+
+    def train_epoch(self) -> tuple[Any, ...]:
+        """Roll out, update, and return the statistics that rl_games' `train()` expects."""
+        self.vec_env.set_train_info(self.frame, self)
+        self.set_eval()
+        start = time.perf_counter()
+        with torch.no_grad():
+            batch = self.play_steps()
+        played = time.perf_counter()
+        self.set_train()
+        self.curr_frames = batch.pop("played_frames")
+        self.train_log = {}
+        for name, rewards in self._rollout_rewards.items():
+            one = name.removesuffix("s")
+            self.collect({f"{one}_mean": rewards.mean(), f"{one}_std": rewards.std()})
+        self.prepare_dataset(batch)
+        self.algo_observer.after_steps()
+        if self.has_central_value:
+            self.train_central_value()
+        kls = self._run_mini_epochs()
+        self._after_update(batch)
+        end = time.perf_counter()
+        info = {
+            **self.train_log,
+            "last_lr": [self.last_lr],
+            "lr_mul": [1.0],
+            "play_time": played - start,
+            "update_time": end - played,
+            "total_time": end - start,
+        }
+        self._record_train_batch_info(batch, info)
+        self._epoch_info = info
+        return (
+            batch["step_time"],
+            info["play_time"],
+            info["update_time"],
+            info["total_time"],
+            info["actor_loss"],
+            info["critic_loss"],
+            info["b_loss"] if self.bounds_loss_coef is not None else [],
+            info["entropy"],
+            kls,
+            self.last_lr,
+            1.0,
+        )
+
     # --- rollout ---------------------------------------------------------------------------
+    # V(s') of every step costs at most one call of the critic per rollout: where the episode goes
+    # on, the policy call of the next step evaluates the same observation.
 
     def play_steps(self) -> dict[str, Any]:
         """Roll the policy out for `horizon_length` steps; rows are (environment, step)-major."""
         buffer = self.experience_buffer
+        next_values = buffer.tensor_dict["next_values"].zero_()
+        queue: list[tuple[Tensor, dict[str, Tensor]]] = []
+        pending = torch.zeros(0)
         step_time_s = 0.0
         for n in range(self.horizon_length):
             self.obs, reset_ids = self._env_reset_done()
             self._after_reset(reset_ids.to(self.ppo_device))
-            try:
-                result = self.get_action_values(self.obs)
-            except (RuntimeError, ValueError):
-                self.explain_failed_action(self.obs, n)
-                raise
-            if n > 0:  # V(s') of the last step, where its episode goes on
-                next_values = buffer.tensor_dict["next_values"][n - 1]
-                pending = self._pending.unsqueeze(-1)
-                torch.where(pending, result["values"], next_values, out=next_values)
+            result = self.get_action_values(self.obs)
+            if n > 0:
+                last = next_values[n - 1]
+                torch.where(pending.unsqueeze(-1), result["values"], last, out=last)
             buffer.update_data("obses", n, self.obs["obs"])
             if self.has_central_value:
                 buffer.update_data("states", n, self.obs["states"])
@@ -246,10 +282,19 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             shaped_rewards = self.rewards_shaper(rewards)
             buffer.update_data("rewards", n, shaped_rewards)
             buffer.update_data("dones", n, self.dones)
-            self._queue_bootstrap_values(n, infos)
+            changes = self._needs_next_value()
+            if n == self.horizon_length - 1 or self._has_own_critic:
+                changes = torch.ones_like(changes)
+            pending = ~changes
+            queue.append(self._rows_to_evaluate(n, changes & ~failures(self.dones, infos).bool()))
             self._mask.add(diverged_in(infos, self.ppo_device))
             self._record_step(n, infos)
             self._track_episodes(rewards, shaped_rewards, infos)
+
+        places, queued = zip(*queue, strict=True)
+        inputs = {name: torch.cat([rows[name] for rows in queued]) for name in queued[0]}
+        if len(inputs["obs"]) > 0:
+            next_values.flatten(0, 1)[torch.cat(places)] = self._eval_critic(inputs)
         return self._rollout_batch(step_time_s)
 
     def _env_reset_done(self) -> tuple[Any, Tensor]:
@@ -261,23 +306,16 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         """Called before each policy step with the environments (n,) whose episodes start there."""
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Sample actions for observations; values are denormalised.
-
-        The asymmetric critic gives the values, if there is one.
-        """
+        """Sample actions; values are denormalised, of the asymmetric critic if there is one."""
         result = self._evaluate_policy(obs, self._policy_inputs())
         if self.has_central_value:
-            result["values"] = self._central_values(obs["states"])
+            with torch.no_grad():
+                values: Any = self.get_central_value({"states": obs["states"]})
+            result["values"] = values
         return result
 
-    def _central_values(self, states: Tensor) -> Tensor:
-        """Return the asymmetric critic's denormalised values (n, values) of states (n, S)."""
-        with torch.no_grad():
-            values: Any = self.get_central_value({"states": states})
-        return values
-
     def _policy_inputs(self) -> dict[str, Tensor]:
-        """Return inputs of actor and critic beside the observation, (N, ...) each."""
+        """Return inputs of actor and critic in addition to the observation, (N, ...) each."""
         return {}
 
     def _evaluate_policy(
@@ -294,6 +332,19 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
                     **inputs,
                 }
             )
+
+    def _needs_next_value(self) -> Tensor:
+        """Return (N,) bool: rows whose observation or inputs change before the next policy step."""
+        return self.dones.bool()
+
+    def _rows_to_evaluate(self, n: int, rows: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return where V(s') of rows (N,) bool after step n belongs, and the critic's inputs."""
+        env_ids = rows.nonzero().flatten()
+        inputs = {"obs": self._preproc_obs(self.obs["obs"]), **self._policy_inputs()}
+        if self.has_central_value:
+            inputs["states"] = self.obs["states"]
+        queued = {name: value.index_select(0, env_ids) for name, value in inputs.items()}
+        return n * len(rows) + env_ids, queued
 
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
         """Store what an agent needs of step n."""
@@ -316,14 +367,23 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             total *= going_on.view(-1, *(1,) * (total.ndim - 1))
         self.algo_observer.process_infos(infos, finished)
 
+    def _eval_critic(self, obs_dict: dict[str, Tensor]) -> Tensor:
+        """Return denormalised values (n, values) of raw observations `obs` and policy inputs.
+
+        The critic is called without the model around it, which would normalise the observation. The
+        asymmetric critic reads `states` instead.
+        """
+        inputs = dict(obs_dict)
+        with torch.no_grad():
+            if self.has_central_value:
+                values: Any = self.get_central_value({"states": inputs["states"]})
+                return values
+            self.model.eval()
+            obs = self.model.norm_obs(inputs.pop("obs"))
+            return self.model.denorm_value(self.model.a2c_network.eval_critic(obs, **inputs))
+
     def _rollout_batch(self, step_time_s: float) -> dict[str, Any]:
         buffer = self.experience_buffer.tensor_dict
-        places, queued = zip(*self._bootstrap_queue, strict=True)
-        self._bootstrap_queue = []
-        inputs = {name: torch.cat([rows[name] for rows in queued]) for name in queued[0]}
-        if len(inputs["obs"]) > 0:
-            next_values = buffer["next_values"].flatten(0, 1)
-            next_values[torch.cat(places)] = self._eval_critic(inputs)
         rewards = self._total_rewards(buffer["rewards"])
         kept = self._mask.kept
         if kept is not None:
@@ -346,9 +406,32 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def _total_rewards(self, task_rewards: Tensor) -> Tensor:
         """Return the rewards (H, N, values) to learn from, given the shaped task rewards.
 
-        Sets `self._rollout_rewards` to the terms, {name: (H, N, values)}; they join the batch.
+        Sets `self._rollout_rewards` to the terms, {name: (H, N, values)}: they join the batch, and
+        their means and standard deviations are collected.
         """
         return task_rewards
+
+    def discount_values(  # type: ignore[override]  # IsaacGymEnvs' CommonAgent has these arguments
+        self, mb_fdones: Tensor, mb_values: Tensor, mb_rewards: Tensor, mb_next_values: Tensor
+    ) -> Tensor:
+        """Return generalised advantages (H, N, values) (Schulman et al. 2015, eq. 16).
+
+        delta_t = r_t + gamma next_V_t - V_t;  A_t = delta_t + gamma tau (1 - done_t) A_{t+1}.
+
+        Args:
+            mb_fdones: (H, N) whether the episode ended in this step.
+            mb_values: (H, N, values) of the state before each step.
+            mb_rewards: (H, N, values).
+            mb_next_values: (H, N, values) of the state after each step, zero after failures.
+        """
+        advantages = torch.empty_like(mb_rewards)
+        not_done = (1.0 - mb_fdones.to(mb_rewards.dtype)).unsqueeze(-1)
+        deltas = mb_rewards + self.gamma * mb_next_values - mb_values
+        running = torch.zeros_like(mb_rewards[0])
+        for t in reversed(range(len(mb_rewards))):
+            running = deltas[t] + self.gamma * self.tau * not_done[t] * running
+            advantages[t] = running
+        return advantages
 
     def mean_policy(self, env: Env) -> Callable[[dict[str, Tensor]], Tensor]:
         """Return the policy for `env`, another task of the same kind: mean actions without noise.
@@ -370,101 +453,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         """Return a function that returns what `_policy_inputs` would, for each step of `env`."""
         return dict
 
-    # --- bootstrap -------------------------------------------------------------------------
-    # V(s') of every step, at no more than one call of the critic per rollout: where the episode
-    # goes on, the policy call of the next step evaluates the same observation.
-
-    def _needs_next_value(self) -> Tensor:
-        """Return (N,) bool: rows whose observation or inputs change before the next policy step."""
-        return self.dones.bool()
-
-    def _queue_bootstrap_values(self, n: int, infos: dict[str, Any]) -> None:
-        """Store the rows after step n that no later policy call evaluates; failures have V = 0."""
-        rows = self._needs_next_value()
-        if n == self.horizon_length - 1 or self._has_own_critic:
-            rows = torch.ones_like(rows)
-        self._pending = ~rows
-        terminate = failures(self.dones, infos).bool()
-        self.experience_buffer.tensor_dict["next_values"][n].zero_()
-        env_ids = (rows & ~terminate).nonzero().flatten()
-        inputs = {"obs": self._preproc_obs(self.obs["obs"]), **self._policy_inputs()}
-        if self.has_central_value:
-            inputs["states"] = self.obs["states"]
-        queued = {name: value.index_select(0, env_ids) for name, value in inputs.items()}
-        self._bootstrap_queue.append((n * len(terminate) + env_ids, queued))
-
-    def _eval_critic(self, obs_dict: dict[str, Tensor]) -> Tensor:
-        """Return denormalised values (n, values) of raw observations `obs` and policy inputs.
-
-        The critic is called without the model around it, which would normalise the observation. An
-        asymmetric one has `states` in place of them.
-        """
-        if self.has_central_value:
-            return self._central_values(obs_dict["states"])
-        self.model.eval()
-        others = {name: value for name, value in obs_dict.items() if name != "obs"}
-        with torch.no_grad():
-            obs = self.model.norm_obs(obs_dict["obs"])
-            return self.model.denorm_value(self.model.a2c_network.eval_critic(obs, **others))
-
-    def discount_values(  # type: ignore[override]  # IsaacGymEnvs' CommonAgent has these arguments
-        self, mb_fdones: Tensor, mb_values: Tensor, mb_rewards: Tensor, mb_next_values: Tensor
-    ) -> Tensor:
-        """Return advantages (H, N, values); see `losses.discount_values`."""
-        return losses.discount_values(
-            mb_fdones, mb_values, mb_rewards, mb_next_values, self.gamma, self.tau
-        )
-
-    # --- update ----------------------------------------------------------------------------
-
-    def train_epoch(self) -> tuple[Any, ...]:
-        """Roll out, update, and return the statistics that rl_games' `train()` expects."""
-        self.vec_env.set_train_info(self.frame, self)
-        self.set_eval()
-        start = time.perf_counter()
-        with torch.no_grad():
-            batch = self.play_steps()
-        played = time.perf_counter()
-        self.set_train()
-        self.curr_frames = batch.pop("played_frames")
-        self.train_log.start_epoch()
-        self._before_update(batch)
-        self.prepare_dataset(batch)
-        self.algo_observer.after_steps()
-        if self.has_central_value:
-            self.train_central_value()
-        lr_mul, kls = self._run_mini_epochs()
-        self._after_update(batch)
-        end = time.perf_counter()
-        info = {
-            **self.train_log.values,
-            "last_lr": [self.last_lr],
-            "lr_mul": [lr_mul],
-            "play_time": played - start,
-            "update_time": end - played,
-            "total_time": end - start,
-        }
-        self._record_train_batch_info(batch, info)
-        self._epoch_info = info
-        return (
-            batch["step_time"],
-            info["play_time"],
-            info["update_time"],
-            info["total_time"],
-            info["actor_loss"],
-            info["critic_loss"],
-            info["b_loss"] if self.bounds_loss_coef is not None else [],
-            info["entropy"],
-            kls,
-            self.last_lr,
-            lr_mul,
-        )
-
-    def _before_update(self, batch_dict: dict[str, Any]) -> None:
-        """Called with the rollout's rows before the training set is made."""
-
-    def _after_update(self, batch_dict: dict[str, Any]) -> None:
-        """Called with the rollout's rows after the last minibatch."""
+    # --- training set ----------------------------------------------------------------------
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
         """Normalise values and advantages, and pass all rows to the dataset."""
@@ -472,31 +461,27 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         fit_datasets(self, num_rows)
         super().prepare_dataset(batch_dict)
         self.dataset.values_dict["advantages"] = self._calc_advs(batch_dict)
-        self.dataset.values_dict.update(self._extra_dataset(batch_dict))
 
     def _calc_advs(self, batch_dict: dict[str, Any]) -> Tensor:
-        """Return (B,) the advantages to learn from, of raw `returns` and `values` (B, values)."""
+        """Return (B,) the advantages to learn from, of raw `returns` and `values` (B, values).
+
+        Only rows that explored count in mean and standard deviation, if some did not.
+        """
         advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
         if not self.normalize_advantage:
             return advantages
-        return losses.normalize_advantages(advantages)
-
-    def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
-        """Return rows (B, ...) that join the training set."""
-        return {}
+        return normalize_advantages(advantages, batch_dict.get("rand_action_mask"))
 
     def _dataset_row_limits(self) -> dict[str, int]:
-        """Return how many rows of a minibatch are read, for names where it is not all."""
+        """Return how many rows of a minibatch are read, for names whose rows are not all read."""
         return {}
 
-    def _run_mini_epochs(self) -> tuple[float, list[Tensor]]:
-        """Step through all minibatches `mini_epochs` times; return lr_mul and every KL."""
+    def _run_mini_epochs(self) -> list[Tensor]:
+        """Step through all minibatches `mini_epochs` times; return every KL."""
         kls: list[Tensor] = []
-        lr_mul = 1.0
         for mini_epoch in range(self.mini_epochs_num):
             for index in range(len(self.dataset)):
                 result: Any = self.train_actor_critic(self.dataset[index])
-                lr_mul = result["lr_mul"]
                 kls.append(result["kl"])
                 if self.schedule_type == "legacy":
                     self._schedule_learning_rate(result["kl"])
@@ -505,14 +490,19 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             self.diagnostics.mini_epoch(self, mini_epoch)
         if self.schedule_type == "standard_epoch":
             self._schedule_learning_rate(torch_ext.mean_list(kls))
-        return lr_mul, kls
+        return kls
+
+    def _after_update(self, batch_dict: dict[str, Any]) -> None:
+        """Called with the rollout's rows after the last minibatch."""
+
+    # --- gradient step ---------------------------------------------------------------------
 
     def train_actor_critic(self, input_dict: dict[str, Any]) -> Any:
         """Take a gradient step; unlike rl_games' it leaves the optimiser's step sizes alone."""
         self.set_train()
         self.calc_gradients(input_dict)
         result: Any = self.train_result
-        self.train_log.add({n: value for n, value in result.items() if isinstance(value, Tensor)})
+        self.collect(result)
         return result
 
     def calc_gradients(self, input_dict: dict[str, Tensor]) -> None:
@@ -526,7 +516,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         gradients, values = self.executor.gradients(self.compute_loss, rows, self._learned)
         for parameter, gradient in zip(self._learned, gradients, strict=True):
             parameter.grad = gradient
-        for parameter in self._frozen_parameters():
+        for parameter in self._frozen:
             parameter.grad = None  # Adam leaves it alone
         self.trancate_gradients_and_step()
 
@@ -545,64 +535,26 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         )
         self.train_result = {**values, "last_lr": self.last_lr, "lr_mul": 1.0}
 
-    def _frozen_parameters(self) -> list[torch.nn.Parameter]:
-        """Return parameters that do not learn in this epoch."""
-        return []
-
     def prepare_minibatch(self, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Update the running statistics, and return the rows that `compute_loss` needs."""
-        self._update_normalizers(minibatch)
-        return minibatch | self._minibatch_extras(minibatch)
+        """Update the running statistics, and return the rows that `compute_loss` needs.
 
-    def _update_normalizers(self, minibatch: dict[str, Tensor]) -> None:
-        """Update all running statistics by a minibatch; later, slices of it are only normalised."""
-
-        def update(normalizer: RunningMeanStd, kinds: list[Tensor]) -> None:
-            for rows in kinds:
-                normalizer.count_in(rows)
-
+        Several threads compute slices of these rows: what needs all rows at once, or random
+        numbers, is computed here. `row_weights` (M,), of mean 1, weigh the policy's losses.
+        """
         inputs = self._normalizer_inputs(minibatch)
-        for normalizer, _ in inputs:
-            normalizer.eval()
+        for normalizer, *_ in inputs:
+            normalizer.eval()  # `compute_loss` only normalises
         if current_group().size > 1:
             count_in_jointly(inputs)
         else:
-            self.executor.map(update, inputs)
+            self.executor.map(RunningMeanStd.count_in, inputs)
+        return dict(minibatch)
 
-    def _normalizer_inputs(
-        self, input_dict: dict[str, Tensor]
-    ) -> list[tuple[RunningMeanStd, list[Tensor]]]:
-        """Return normalisers, and the rows (n, ...) of a minibatch that update them, in order."""
+    def _normalizer_inputs(self, input_dict: dict[str, Tensor]) -> list[tuple[Any, ...]]:
+        """Return normalisers, each with rows (n, ...) of a minibatch that update it in order."""
         if not self.normalize_input:
             return []
-        obs: Any = self._preproc_obs(input_dict["obs"])
-        return [(self.model.running_mean_std, [obs])]
-
-    def _minibatch_extras(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return rows (M, ...) that join a minibatch before it is cut into slices.
-
-        For what needs all rows at once, or random numbers: several threads compute the slices.
-        `row_weights` (M,), of mean 1, weigh the rows in the policy's losses.
-        """
-        return {}
-
-    def update_lr(self, lr: float) -> None:
-        """Set the step size of all parameters but those that have one of their own."""
-        fixed = [group["lr"] for group in self.optimizer.param_groups[1:]]
-        super().update_lr(lr)
-        for group, own_lr in zip(self.optimizer.param_groups[1:], fixed, strict=True):
-            group["lr"] = own_lr
-
-    def _schedule_learning_rate(self, kl: Tensor) -> None:
-        # Only the adaptive schedule looks at the KL, and reading it waits for the device.
-        self._advance_schedule(current_group().mean(kl).item() if self.is_adaptive_lr else 0.0)
-        self.update_lr(self.last_lr)
-
-    def _advance_schedule(self, kl: float) -> None:
-        """Compute the rate of the next epoch; `update_lr` sets it, in all processes together."""
-        self.last_lr, self.entropy_coef = self.scheduler.update(
-            self.last_lr, self.entropy_coef, self.epoch_num, 0, kl
-        )
+        return [(self.model.running_mean_std, self._preproc_obs(input_dict["obs"]))]
 
     # --- loss ------------------------------------------------------------------------------
     # Several threads call these at the same time, each with a slice of the minibatch: they must
@@ -628,17 +580,22 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         if self.has_value_loss:
             values = (minibatch["old_values"], result["values"])
             critic = self._critic_loss(*values, self.e_clip, minibatch["returns"], self.clip_value)
-        bound = self.bound_loss(mu)
         terms = {
             "actor_loss": (1.0, weighted_mean(actor["actor_loss"], minibatch)),
             "critic_loss": (self.critic_coef, critic["critic_loss"].mean()),
-            "b_loss": (self.bounds_loss_coef or 0.0, weighted_mean(bound, minibatch)),
+            "b_loss": (
+                self.bounds_loss_coef or 0.0,
+                weighted_mean(self.bound_loss(mu), minibatch),
+            ),
             "entropy": (-self.entropy_coef, weighted_mean(result["entropy"], minibatch)),
             **self._extra_losses(result, batch, minibatch),
         }
-        weighted = [weight * term for weight, term in terms.values() if weight != 0.0]
-
-        logged = {name: term for name, (_, term) in terms.items()}
+        logged: dict[str, Tensor] = {}
+        weighted = []
+        for name, (weight, term) in terms.items():
+            logged[name] = term
+            if weight != 0.0:
+                weighted.append(weight * term)
         with torch.no_grad():
             logged["kl"] = torch_ext.policy_kl(
                 mu, result["sigmas"], minibatch["mu"], minibatch["sigma"]
@@ -654,7 +611,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return torch.stack(weighted).sum(), logged
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return inputs of the model beside the observation."""
+        """Return inputs of the model in addition to the observation."""
         return {}
 
     def _actor_loss(
@@ -664,10 +621,18 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         advantage: Tensor,
         curr_e_clip: float,
     ) -> dict[str, Tensor]:
-        """Return `actor_loss` (n,) and `actor_clipped` (n,) bool, of negative log probabilities."""
-        loss, clipped = losses.actor_loss(
-            old_action_log_probs_batch, action_log_probs, advantage, self.ppo, curr_e_clip
-        )
+        """Return `actor_loss` (n,), and `actor_clipped` (n,) bool: ratios outside the clip range.
+
+        PPO's clipped surrogate (Schulman et al. 2017, eq. 7), negated; with `ppo: False` the plain
+        policy gradient. Both log probabilities are negated.
+        """
+        ratio = torch.exp(old_action_log_probs_batch - action_log_probs)
+        clipped = (ratio - 1.0).abs() > curr_e_clip
+        if not self.ppo:
+            return {"actor_loss": action_log_probs * advantage, "actor_clipped": clipped}
+        surrogate = advantage * ratio
+        surrogate_clipped = advantage * ratio.clamp(1.0 - curr_e_clip, 1.0 + curr_e_clip)
+        loss = torch.max(-surrogate, -surrogate_clipped)
         return {"actor_loss": loss, "actor_clipped": clipped}
 
     def _critic_loss(
@@ -678,18 +643,25 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return_batch: Tensor,
         clip_value: bool,
     ) -> dict[str, Tensor]:
-        """Return `critic_loss` (n, values), of normalised values."""
-        loss = losses.critic_loss(value_preds_batch, values, return_batch, curr_e_clip, clip_value)
+        """Return `critic_loss` (n, values), squared errors of normalised values.
+
+        `clip_value` clips around the old values. rl_games halves the loss.
+        """
+        loss = (return_batch - values) ** 2
+        if clip_value:
+            change = (values - value_preds_batch).clamp(-curr_e_clip, curr_e_clip)
+            loss = torch.max(loss, (return_batch - (value_preds_batch + change)) ** 2)
         return {"critic_loss": loss}
 
     def bound_loss(self, mu: Tensor) -> Tensor:
-        """Return (n,) the squared excess of mean actions (n, A) over +-1."""
-        return losses.bound_loss(mu)
+        """Return (n,) the squared excess of mean actions (n, A) over +-1 (rl_games: 1.1)."""
+        excess = mu.abs().sub(1.0).clamp(min=0.0)
+        return (excess * excess).sum(dim=-1)
 
     def _extra_losses(
         self, result: dict[str, Tensor], batch: dict[str, Any], input_dict: dict[str, Tensor]
     ) -> LossTerms:
-        """Return loss terms beside PPO's; see `LossTerms`.
+        """Return loss terms in addition to PPO's; see `LossTerms`.
 
         Args:
             result: the model's output.
@@ -698,12 +670,44 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         """
         return {}
 
-    # --- logging ---------------------------------------------------------------------------
+    # --- learning rate ---------------------------------------------------------------------
+
+    def _schedule_learning_rate(self, kl: Tensor) -> None:
+        # Only the adaptive schedule looks at the KL, and reading it waits for the device.
+        value = current_group().mean(kl).item() if self.is_adaptive_lr else 0.0
+        self._advance_schedule(value)
+        self.update_lr(self.last_lr)
+
+    def _advance_schedule(self, kl: float) -> None:
+        self.last_lr, self.entropy_coef = self.scheduler.update(
+            self.last_lr, self.entropy_coef, self.epoch_num, 0, kl
+        )
+
+    def update_lr(self, lr: float) -> None:
+        """Set the step size of all parameters but those that have one of their own."""
+        fixed = [group["lr"] for group in self.optimizer.param_groups[1:]]
+        super().update_lr(lr)
+        for group, own_lr in zip(self.optimizer.param_groups[1:], fixed, strict=True):
+            group["lr"] = own_lr
+
+    # --- log -------------------------------------------------------------------------------
+
+    def collect(self, scalars: Mapping[str, Any]) -> None:
+        """Keep the tensors among the scalars of a minibatch or an epoch in `train_log`."""
+        for name, value in scalars.items():
+            if isinstance(value, Tensor):
+                self.train_log.setdefault(name, []).append(value)
+
+    def train_info_means(self) -> dict[str, float]:
+        """Return the epoch means of all collected scalars."""
+        return {name: torch_ext.mean_list(each).item() for name, each in self.train_log.items()}
 
     def _record_train_batch_info(
         self, batch_dict: dict[str, Any], train_info: dict[str, Any]
     ) -> None:
         """Add to `train_info` what `_log_train_info` needs of the rollout's rows."""
+        for name in self._rollout_rewards:
+            train_info[name] = batch_dict[name]
 
     def _log_train_info(self, train_info: dict[str, Any], frame: int) -> None:
         """Write the scalars of an epoch.
@@ -713,15 +717,14 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
                 and what `_record_train_batch_info` added.
             frame: environment steps before the epoch.
         """
-        self.train_log.write(self.writer, train_info, frame)
-
-    def train_info_means(self) -> dict[str, float]:
-        """Return the epoch means of all collected scalars."""
-        return self.train_log.means()
+        for name, tag in self.scalars.items():
+            if name in train_info:
+                self.writer.add_scalar(tag, torch_ext.mean_list(train_info[name]).item(), frame)
 
     def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:
         """Write rl_games' scalars and those that IsaacGymEnvs' CommonAgent adds."""
-        (step_time, play_time, update_time, *_rest) = args
+        self._check_finite({name: torch.stack(each) for name, each in self.train_log.items()})
+        (_step_time, play_time, update_time, *_rest) = args
         frame, scaled_time, _scaled_play_time, curr_frames = args[-4:]
         writer = self.writer
         writer.add_scalar("performance/total_fps", curr_frames / scaled_time, frame)
@@ -733,11 +736,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             mean_reward = self.game_rewards.get_mean()[0].item()
             writer.add_scalar("rewards/frame", mean_reward, frame)
             writer.add_scalar("episode_lengths/frame", mean_length, frame)
-        super().write_stats(total_time, epoch_num, step_time, play_time, update_time, *_rest)
-
-    def _check_losses(self, losses: Mapping[str, list[Tensor]]) -> None:
-        """Check that everything collected is finite, which includes `losses`; as PPOSafeguards."""
-        super()._check_losses(self.train_log.values)
+        super().write_stats(total_time, epoch_num, *args)
 
     # --- checkpoint ------------------------------------------------------------------------
     # `PPOSafeguards` reads and writes the files.
@@ -755,40 +754,6 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             self.optimizer.param_groups[0]["lr"] = self.last_lr
         self._restored_best = self.last_mean_rewards
         self.has_restored = True
-
-
-class TrainingLog:
-    """Collects scalars in an epoch and writes their means to TensorBoard.
-
-    Args:
-        tags: name of a scalar -> its name in TensorBoard; others are only collected.
-
-    Attributes:
-        values: one value for each minibatch or epoch, by name; of the current epoch.
-    """
-
-    def __init__(self, tags: Mapping[str, str]) -> None:
-        self._tags = tags
-        self.values: dict[str, list[Tensor]] = {}
-
-    def start_epoch(self) -> None:
-        """Drop what the last epoch collected."""
-        self.values = {}
-
-    def add(self, scalars: Mapping[str, Tensor]) -> None:
-        """Keep values of a minibatch or of an epoch."""
-        for name, value in scalars.items():
-            self.values.setdefault(name, []).append(value)
-
-    def means(self) -> dict[str, float]:
-        """Return the epoch means of all collected scalars."""
-        return {name: torch_ext.mean_list(values).item() for name, values in self.values.items()}
-
-    def write(self, writer: Any, train_info: Mapping[str, Any], frame: int) -> None:
-        """Write the means of the lists in `train_info` that have a tag."""
-        for name, tag in self._tags.items():
-            if name in train_info:
-                writer.add_scalar(tag, torch_ext.mean_list(train_info[name]).item(), frame)
 
 
 def given_params(params: dict[str, Any] | None, config: dict[str, Any] | None) -> dict[str, Any]:
@@ -826,7 +791,39 @@ def _prepare_settings(settings: dict[str, Any], unsupported: tuple[str, ...]) ->
     return mixed_precision
 
 
+def _make_central_value(agent: Any) -> CentralValueTrain:
+    """Return the asymmetric critic of an agent, as the constructor of rl_games' A2CAgent makes it.
+
+    Raises:
+        ConfigError: a recurrent one.
+    """
+    settings = agent.central_value_config
+    critic = CentralValueTrain(
+        state_shape=agent.state_shape,
+        value_size=agent.value_size,
+        ppo_device=agent.ppo_device,
+        num_agents=agent.num_agents,
+        horizon_length=agent.horizon_length,
+        num_actors=agent.num_actors,
+        num_actions=agent.actions_num,
+        seq_length=agent.seq_length,
+        normalize_value=agent.normalize_value,
+        network=settings["network"],
+        config=settings,
+        writter=agent.writer,
+        max_epochs=agent.max_epochs,
+        multi_gpu=agent.multi_gpu,
+        zero_rnn_on_done=agent.zero_rnn_on_done,
+    )
+    if critic.is_rnn:
+        raise ConfigError(
+            "train.params.config.central_value_config.network.rnn is not supported by AMP-family"
+            " agents; remove it"
+        )
+    return critic.to(agent.ppo_device)
+
+
 def weighted_mean(values: Tensor, rows: dict[str, Tensor]) -> Tensor:
-    """Return the mean of values (n,), by the weights that rows may have (`_minibatch_extras`)."""
+    """Return the mean of values (n,), by the weights that rows may have (`prepare_minibatch`)."""
     weights = rows.get("row_weights")
     return values.mean() if weights is None else (weights * values).mean()

@@ -161,7 +161,7 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
         return rescale_actions(self.actions_low, self.actions_high, actions.clamp(-1.0, 1.0))
 
     def _policy_inputs(self) -> dict[str, Tensor]:
-        """Return inputs of the policy beside the observation, (N, ...); called once per step."""
+        """Return policy inputs in addition to the observation, (N, ...); called once per step."""
         return {}
 
     def act(self, obs: dict[str, Tensor]) -> Tensor:

@@ -2,11 +2,9 @@
 
 A task marks them in `infos["diverged"]` (N,). Such a transition has no outcome: its state is broken
 and its reward means nothing. The episode counts as cut off before it, so that the returns of
-earlier steps end with V of the last good state, which is the observation of the transition itself;
-it is no failure, because nothing shows that the policy caused it. Its row leaves the batch before
-anything is computed of it: it is in no gradient, normaliser, buffer or mean. Recurrent networks
-need whole sequences: there rl_games' masks take its weight, and only the normalisers count
-its observation and value, which are those of the last good state.
+earlier steps end with V of the last good state, which is the observation of the transition itself.
+The row leaves the batch before anything is computed of it. Recurrent networks need whole sequences:
+there rl_games' masks take its weight, and only the normalisers count its observation and value.
 """
 
 from __future__ import annotations
@@ -24,30 +22,35 @@ _COLUMNS = ("obses", "next_obses", "actions", "rewards", "dones")
 
 
 class RolloutMask:
-    """Which steps of a rollout have an outcome.
+    """Which steps of a rollout of `horizon` steps have an outcome.
 
-    Args:
-        horizon: H, steps of a rollout.
+    Attributes:
+        num_steps: steps of the rollout so far.
     """
 
     def __init__(self, horizon: int) -> None:
         self._horizon = horizon
-        self._steps: list[Tensor | None] = []
+        self._diverged: dict[int, Tensor] = {}
+        self.num_steps = 0
 
     def add(self, diverged: Tensor | None) -> None:
-        """Store the next step, (N,) bool or None; after H steps the next rollout starts."""
-        if len(self._steps) == self._horizon:
-            self._steps = []
-        self._steps.append(diverged)
+        """Store the next step, (N,) bool or None; after a whole rollout the next rollout starts."""
+        if self.num_steps == self._horizon:
+            self._diverged, self.num_steps = {}, 0
+        if diverged is not None:
+            self._diverged[self.num_steps] = diverged
+        self.num_steps += 1
 
     @property
     def kept(self) -> Tensor | None:
         """(H, N) bool, False where a simulation diverged; None if none did."""
-        marked = [step for step in self._steps if step is not None]
-        if not marked:
+        if not self._diverged:
             return None
-        nothing = torch.zeros_like(marked[0])
-        return ~torch.stack([nothing if step is None else step for step in self._steps])
+        shape = next(iter(self._diverged.values()))
+        kept = torch.ones(self.num_steps, *shape.shape, dtype=torch.bool, device=shape.device)
+        for step, diverged in self._diverged.items():
+            kept[step] = ~diverged
+        return kept
 
 
 def take_rows(batch: dict[str, Any], kept: Tensor) -> dict[str, Any]:
@@ -87,12 +90,7 @@ class EpisodeMeter(AverageMeter):
 
 
 class EpisodeMeters:
-    """Replaces the meters of an agent of rl_games whose loop updates them itself.
-
-    Args:
-        agent: the agent.
-        names: of its meters.
-    """
+    """Replaces the named meters of an agent of rl_games whose loop updates them itself."""
 
     def __init__(self, agent: Any, names: tuple[str, ...]) -> None:
         self._meters = []
@@ -129,7 +127,7 @@ class KeptTransitions(VectorizedReplayBuffer):
     def state_dict(self) -> dict[str, Any]:
         """Return the stored rows and the place of the next row."""
         n = self.capacity if self.full else self.idx
-        # A file would hold all of a tensor of which it gets a part: a part is copied.
+        # A part is copied: else a file would hold the whole tensor.
         rows = {name: getattr(self, name)[:n].cpu() for name in _COLUMNS}
         rows = rows if self.full else {name: row.clone() for name, row in rows.items()}
         return {"rows": rows, "idx": self.idx, "full": self.full}

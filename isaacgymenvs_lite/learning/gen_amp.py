@@ -27,7 +27,6 @@ from isaacgymenvs_lite.errors import ConfigError, OverrideError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 from isaacgymenvs_lite.learning.common_agent import LossTerms, weighted_mean
-from isaacgymenvs_lite.learning.losses import alignment_loss, diversity_loss, uniformity_loss
 from isaacgymenvs_lite.learning.modules.skill_encoder import SkillEncoder, SkillRewards
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts, is_overridden
 from isaacgymenvs_lite.learning.skills.latents import (
@@ -245,76 +244,65 @@ class GenAMPAgent(SkillRewards, AMPAgent):
 
     # --- update ----------------------------------------------------------------------------
 
-    def _demo_disc_batch(self, demos: dict[str, Tensor]) -> dict[str, Tensor]:
-        """As AMP; a conditional discriminator gets the latent of another moment of the clip.
+    def _draw_disc_rows(self, batch_dict: dict[str, Any]) -> None:
+        """As AMP; a conditional discriminator also gets the latents of the rows.
 
-        With the same moment the discriminator could solve the task by matching its inputs.
+        A demonstration has the latent of another moment of its clip: with the same moment the
+        discriminator could solve the task by matching its inputs. With `disc_mismatched_demos`
+        some replayed rows are demonstrations under wrong latents, from which the discriminator
+        learns that a good motion is not enough: it must be the motion of its latent (Reed et al.
+        2016, "Generative Adversarial Text to Image Synthesis", algorithm 1).
         """
-        rows = super()._demo_disc_batch(demos)
-        if self._disc_is_conditional:
-            rows["amp_obs_demo_latents"] = self._eval_enc(demos["amp_obs_near"])
-            if self._amp.latent_sharpness > 0.0:
-                self._give_random_latents(rows)
-        return rows
+        if not self._disc_is_conditional:
+            super()._draw_disc_rows(batch_dict)
+            return
+        fakes = {"amp_obs": batch_dict["amp_obs"], "amp_obs_latents": batch_dict["amp_latents"]}
+        num_rows = len(fakes["amp_obs"])
+        pairs = self._amp_obs_demo_buffer.sample(num_rows)
+        demos, latents = pairs["amp_obs"], self._eval_enc(pairs["amp_obs_near"])
+        if self._amp.latent_sharpness > 0.0:
+            # As many rows have random latents as the policy has. A random latent is paired with a
+            # row whose own latent is near, so that every latent belongs to a motion of the clips.
+            fresh, chosen = self._clip_latents.random(num_rows, latents.device)
+            near = sample_similar_rows(fresh, latents[:_NEIGHBOURS], self._amp.latent_sharpness)
+            of_clips = torch.zeros(num_rows, 1, dtype=torch.bool, device=latents.device)
+            of_clips[chosen] = True
+            demos = torch.where(of_clips, demos, demos[near])
+            latents = torch.where(of_clips, latents, fresh)
+        if self._amp_replay_buffer.get_total_count() > 0:
+            fakes = self._amp_replay_buffer.sample(num_rows)
+        num = round(self._amp.disc_mismatched_demos * num_rows)
+        # Rows are drawn at random, so that the row before is a random other row.
+        mismatched = {"amp_obs": demos, "amp_obs_latents": latents.roll(1, dims=0)}
+        for name, rows in mismatched.items():
+            mixed = torch.cat((rows[:num], fakes[name][num:]))
+            batch_dict[name.replace("amp_obs", "amp_obs_replay")] = mixed
+        batch_dict |= {"amp_obs_demo": demos, "amp_obs_demo_latents": latents}
 
-    def _give_random_latents(self, rows: dict[str, Tensor]) -> None:
-        """Give as many rows random latents as the policy has, in place.
+    def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
+        """As AMP, with the latents of policy and discriminator."""
+        super().prepare_dataset(batch_dict)
+        rows = self.dataset.values_dict
+        rows["amp_latents"] = rows["amp_obs_latents"] = batch_dict["amp_latents"]
+        for name in _DISC_LATENTS:
+            if name in batch_dict:
+                rows[name] = batch_dict[name]
 
-        Each random latent is paired with a row whose own latent is near, so that every latent, not
-        only those of the clips, belongs to a motion of the clips.
-        """
-        demos, latents = rows["amp_obs_demo"], rows["amp_obs_demo_latents"]
-        fresh, chosen = self._clip_latents.random(len(latents), latents.device)
-        near = sample_similar_rows(fresh, latents[:_NEIGHBOURS], self._amp.latent_sharpness)
-        of_clips = torch.zeros(len(latents), 1, dtype=torch.bool, device=latents.device)
-        of_clips[chosen] = True
-        rows["amp_obs_demo"] = torch.where(of_clips, demos, demos[near])
-        rows["amp_obs_demo_latents"] = torch.where(of_clips, latents, fresh)
-
-    def _agent_disc_batch(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
-        fakes = super()._agent_disc_batch(batch_dict)
-        if self._disc_is_conditional:
-            fakes["amp_obs_latents"] = batch_dict["amp_latents"]
-        return fakes
-
-    def _replayed_disc_batch(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
-        """As AMP; with `disc_mismatched_demos` some rows are demonstrations under wrong latents.
-
-        The discriminator learns from them that a good motion is not enough: it must be the motion
-        of its latent (Reed et al. 2016, "Generative Adversarial Text to Image Synthesis",
-        algorithm 1).
-        """
-        fakes = super()._replayed_disc_batch(batch_dict)
-        num = round(self._amp.disc_mismatched_demos * len(fakes["amp_obs"]))
-        if num == 0:
-            return fakes
-        mismatched = {
-            "amp_obs": batch_dict["amp_obs_demo"],
-            # Rows are drawn at random, so that the one before is a random other one.
-            "amp_obs_latents": batch_dict["amp_obs_demo_latents"].roll(1, dims=0),
-        }
-        return {name: torch.cat((mismatched[name][:num], fakes[name][num:])) for name in mismatched}
-
-    def _log_rewards(self) -> None:
-        super()._log_rewards()
-        rewards = self._rollout_rewards["enc_rewards"]
-        self.train_log.add({"enc_reward_mean": rewards.mean(), "enc_reward_std": rewards.std()})
-
-    def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
-        latents = batch_dict["amp_latents"]
-        own = {"amp_latents": latents, "amp_obs_latents": latents}
-        of_disc = {name: batch_dict[name] for name in _DISC_LATENTS if name in batch_dict}
-        return {**super()._extra_dataset(batch_dict), **own, **of_disc}
+    def _after_update(self, batch_dict: dict[str, Any]) -> None:
+        latents = {"amp_obs_latents": batch_dict["amp_latents"]}
+        others = latents if self._disc_is_conditional else {}
+        self._store_replay_amp_obs(batch_dict["amp_obs"], **others)
 
     def _dataset_row_limits(self) -> dict[str, int]:
         """As AMP; the latents of AMP observations are limited as these are."""
         own = dict.fromkeys(("amp_obs_latents", *_DISC_LATENTS), self._amp_minibatch_size)
         return {**super()._dataset_row_limits(), **own}
 
-    def _minibatch_extras(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        rows = super()._minibatch_extras(input_dict)
+    def prepare_minibatch(self, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
+        """As AMP, with other latents for the diversity loss, and triples of demonstrations."""
+        rows = super().prepare_minibatch(minibatch)
         if self._enable_amp_diversity_bonus():
-            rows["diversity_latents"] = self._sample_latents(len(input_dict["amp_latents"]))
+            rows["diversity_latents"] = self._sample_latents(len(minibatch["amp_latents"]))
         if self._amp.encodes_clips:
             rows["demo_triples"] = self._draw_demo_triples()
         return rows
@@ -354,11 +342,16 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return terms
 
     def _clip_encoding_losses(self, triples: Tensor) -> LossTerms:
-        """Return the encoder's losses of clips, given rows of `_draw_demo_triples`."""
+        """Return the encoder's losses of clips, given rows of `_draw_demo_triples`.
+
+        Alignment brings together what the encoder reads at near moments, uniformity spreads what
+        it reads over the sphere: Wang and Isola 2020 (arXiv 2005.10242), eq. 1, and eq. 2 without
+        the logarithm of the mean.
+        """
         found = self.model.a2c_network.eval_enc(triples.flatten(0, 1)).float()
         at, near, other = found.view(*triples.shape[:2], -1).unbind(dim=1)
-        alignment = alignment_loss(at, near).mean()
-        uniformity = uniformity_loss(at, other).mean()
+        alignment = (at - near).square().sum(dim=-1).mean()
+        uniformity = torch.exp(-2.0 * (at - other).square().sum(dim=-1)).mean()
         return {
             "enc_alignment_loss": (self._amp.enc_alignment_coef, alignment),
             "enc_uniformity_loss": (self._amp.enc_uniformity_coef, uniformity),
@@ -379,7 +372,10 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         ase_latents: Tensor,
         new_latents: Tensor | None = None,
     ) -> Tensor:
-        """Return (n,) the loss of rows; see `losses.diversity_loss`. Threads as `_extra_losses`.
+        """Return (n,) the squared error of how different the actions under two latents are.
+
+        (target - |a - a'|^2 / A / (0.5 - 0.5 z . z' + 1e-5))^2 with actions clamped to +-1 (ASE,
+        eq. 14, in the form of its published code). Several threads call it.
 
         Args:
             obs: (n, O), normalised by the model.
@@ -389,19 +385,14 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         """
         new_z = self._sample_latents(len(obs)) if new_latents is None else new_latents
         other_mu, _ = self._eval_actor(obs, new_z)
-        return diversity_loss(
-            action_params, other_mu, ase_latents, new_z, self._amp.amp_diversity_tar
-        )
+        change = action_params.clamp(-1.0, 1.0) - other_mu.clamp(-1.0, 1.0)
+        latent_distance = 0.5 - 0.5 * (ase_latents * new_z).sum(dim=-1)
+        ratio = change.square().mean(dim=-1) / (latent_distance + 1e-5)
+        return (self._amp.amp_diversity_tar - ratio).square()
 
     def _eval_actor(self, obs: Tensor, ase_latents: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean actions and log standard deviations (n, A) for normalised obs (n, O)."""
         return self.model.a2c_network.eval_actor(obs, ase_latents)
-
-    def _record_train_batch_info(
-        self, batch_dict: dict[str, Any], train_info: dict[str, Any]
-    ) -> None:
-        super()._record_train_batch_info(batch_dict, train_info)
-        train_info["enc_rewards"] = batch_dict["enc_rewards"]
 
 
 def make_evaluation_schedule(

@@ -10,7 +10,7 @@ from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
 class ModelGenAMPContinuous(ModelAMPContinuous):
     """`model: name: continuous_gen_amp`, `gen_amp` or `ase`.
 
-    Every input has `amp_latents` (n, Z) beside `obs`. A training input with AMP observations and
+    Every input has `amp_latents` (n, Z) and `obs`. A training input with AMP observations and
     `amp_obs_latents` (K, Z), the latents under which the policy made `amp_obs` (K, F), has outputs
     `enc_pred` (K, Z), unit vectors, and, with `enc_gradient` True, `enc_gradient` (K, F), the
     gradients of the encoder's error by the AMP observations. A conditional discriminator also

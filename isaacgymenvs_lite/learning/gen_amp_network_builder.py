@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_network_builder import DEFAULT_INITIALIZER, AMPBuilder
-from isaacgymenvs_lite.learning.losses import input_gradient
+from isaacgymenvs_lite.learning.modules.discriminator import input_gradient
 from isaacgymenvs_lite.learning.published_names import NETWORK_NAMES, PublishedNames
 from isaacgymenvs_lite.learning.skills.latents import sample_latents
 
@@ -32,12 +32,12 @@ class StyleMLP(PublishedNames, nn.Module):
     style(z) = tanh(W MLP(z)), as wide as the latent.
 
     Args:
-        obs_size: numbers in an observation.
-        latent_dim: numbers in a latent.
-        units: layers over observation and style.
-        style_units: layers over the latent.
-        style_layers: those layers.
-        activation: behind each layer.
+        obs_size: O.
+        latent_dim: Z.
+        units: sizes of the layers over observation and style.
+        style_units: sizes of `style_layers`, the layers over the latent.
+        style_layers: see `style_units`.
+        activation: after each layer.
     """
 
     replaced: ClassVar[dict[str, str]] = NETWORK_NAMES
@@ -124,7 +124,7 @@ class GenAMPBuilder(AMPBuilder):
                     "train.params.network.separate=False: the actor gets the latent as a style,"
                     " the critic as it is, so that they share no layers; set it to True"
                 )
-            # Before the discriminator is built; modules cannot be set here yet, numbers can.
+            # The discriminator needs them; modules cannot be set before torch's constructor.
             self._latent_dim = int(latent_shape[0])
             self._latent_scale = float(params.get("latent_scale", 1.0))
             super().__init__(params, **kwargs)
@@ -177,15 +177,16 @@ class GenAMPBuilder(AMPBuilder):
             nn.init.uniform_(style_dense.weight, -_STYLE_INIT_SCALE, _STYLE_INIT_SCALE)
 
         def _build_disc(self, input_shape: tuple[int, ...]) -> None:
-            if self.disc_is_conditional:
-                if not self._enc_separate:
-                    raise ConfigError(
-                        "train.params.network.disc.conditional=True: the latent is an input of the"
-                        " discriminator, and the encoder has to infer it, so that they share no"
-                        " layers; set enc.separate=True"
-                    )
-                input_shape = (input_shape[0] + self._latent_dim,)
-            super()._build_disc(input_shape)
+            if not self.disc_is_conditional:
+                super()._build_disc(input_shape)
+                return
+            if not self._enc_separate:
+                raise ConfigError(
+                    "train.params.network.disc.conditional=True: the latent is an input of the"
+                    " discriminator, and the encoder has to infer it, so that they share no"
+                    " layers; set enc.separate=True"
+                )
+            super()._build_disc((input_shape[0] + self._latent_dim,))
 
         def _build_enc(self, input_shape: tuple[int, ...]) -> None:
             """Build the encoder's layers, for inputs (n, input_shape[0])."""
@@ -202,11 +203,7 @@ class GenAMPBuilder(AMPBuilder):
             nn.init.zeros_(self._enc.bias)
 
         def forward(self, obs_dict: dict[str, Any]) -> tuple[Any, ...]:
-            """Return mean actions, log standard deviations, values and no recurrent state.
-
-            Args:
-                obs_dict: `obs` (n, O), normalised, and `amp_latents` (n, Z).
-            """
+            """Return mean actions, log standard deviations, values and no recurrent state."""
             obs, latents = obs_dict["obs"], obs_dict["amp_latents"]
             mu, logstd = self.eval_actor(obs, latents)
             return mu, logstd, self.eval_critic(obs, latents), None
@@ -223,8 +220,8 @@ class GenAMPBuilder(AMPBuilder):
 
             Args:
                 obs: (n, O), normalised.
-                amp_latents: (n, Z) unit vectors.
-                use_hidden_latents: the latents are styles, the trunk's own, already.
+                amp_latents: (n, Z) unit vectors, or styles with `use_hidden_latents`.
+                use_hidden_latents: the latents are already style-encoded.
                 ase_latents: the latents under ASE's name.
             """
             latents = _one_of(amp_latents, ase_latents)
@@ -240,10 +237,7 @@ class GenAMPBuilder(AMPBuilder):
             *,
             ase_latents: Tensor | None = None,
         ) -> Tensor:
-            """Return normalised values (n, values); arguments as `eval_actor`.
-
-            The critic takes the latent itself in any case, as ASE's.
-            """
+            """Return normalised values (n, values); as in ASE, of the latent itself."""
             del use_hidden_latents
             latents = self._latent_scale * _one_of(amp_latents, ase_latents)
             return self.value_act(self.value(self.critic_mlp(obs, latents)))
@@ -251,9 +245,7 @@ class GenAMPBuilder(AMPBuilder):
         def eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
             """Return logits (n, 1) for normalised AMP observations (n, F).
 
-            Args:
-                amp_obs: (n, F), normalised.
-                latents: (n, Z) if the discriminator is conditional, else none.
+            Latents (n, Z) are given if the discriminator is conditional.
             """
             scaled = (self._latent_scale * z for z in latents)
             return super().eval_disc(torch.cat((amp_obs, *scaled), dim=-1))
@@ -265,11 +257,8 @@ class GenAMPBuilder(AMPBuilder):
         def eval_enc_with_gradient(self, amp_obs: Tensor, latents: Tensor) -> tuple[Tensor, Tensor]:
             """Return `eval_enc` and the gradients (n, F) of its error -q(x) . z by x.
 
-            The gradients can be differentiated by the parameters.
-
-            Args:
-                amp_obs: x, (n, F), normalised.
-                latents: z, (n, Z).
+            The gradients can be differentiated by the parameters. x are normalised AMP observations
+            (n, F), z latents (n, Z).
             """
             with torch.enable_grad():
                 amp_obs = amp_obs.detach().requires_grad_()

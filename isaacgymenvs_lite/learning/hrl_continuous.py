@@ -5,6 +5,7 @@ Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
@@ -24,15 +25,15 @@ from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_para
 from isaacgymenvs_lite.env_interface import Env, HierarchyEnv, diverged_in, failures, require
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AGENT_KEYS, HRLParams, read_agent_params
-from isaacgymenvs_lite.learning.common_agent import CommonAgent
+from isaacgymenvs_lite.learning.common_agent import CommonAgent, given_params
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
-from isaacgymenvs_lite.learning.skills.correlated_noise import CorrelatedNoise
 from isaacgymenvs_lite.learning.skills.latents import latent_space
 from isaacgymenvs_lite.learning.skills.low_level_policy import (
     LowLevelPolicy,
     LowLevelSizes,
     latents_of_actions,
 )
+from isaacgymenvs_lite.utils.state import Stateful
 
 # The train file with the values that a flat configuration leaves out.
 _DEFAULTS = "HumanoidASEHRLPPO"
@@ -42,7 +43,52 @@ _ENV_NAME = "rlgpu"
 _NUM_ACTORS = 64
 
 
-class HRLAgent(CommonAgent):
+class OverLowLevel:
+    """A frozen low-level controller below a policy whose actions are latents: agent and player.
+
+    Attributes:
+        llc: the low-level controller.
+    """
+
+    llc: LowLevelPolicy
+    _hrl: HRLParams
+    _section: dict[str, Any]
+    _env: Any
+    _llc_device: Any
+    _precision: Any
+
+    _latent_dim = ReadOnly("llc.latent_dim", "the low-level controller")
+    _task_size = ReadOnly("llc.num_task_obs", "the task")
+    _llc_steps = ReadOnly("_hrl.llc_steps")
+    _llc_agent = ReadOnly("llc", "_build_llc, which returns it")
+
+    def _build_llc(self, params: HRLParams) -> LowLevelPolicy:
+        """Return the low-level controller that the keys name."""
+        return LowLevelPolicy(
+            params.llc_config,
+            llc_checkpoint_for(params.llc_checkpoint, self._section),
+            self._build_llc_agent_config(),
+            self._llc_device,
+            self._precision,
+        )
+
+    def _build_llc_agent_config(self) -> LowLevelSizes:
+        """Return the sizes that the low-level controller has in this task."""
+        return LowLevelSizes.from_task(
+            require(self._env, HierarchyEnv, "train.params.algo: a hierarchy")
+        )
+
+    def _extract_llc_obs(self, obs: Tensor) -> Tensor:
+        """Return observations (N, O) without the task's features."""
+        return self.llc.extract_obs(obs)
+
+    def _compute_llc_action(self, obs: Any, actions: Tensor) -> Tensor:
+        """Return the task's actions (N, A) under the latents that `actions` (N, Z) point to."""
+        rows = obs["obs"] if isinstance(obs, dict) else obs
+        return self.llc.actions(self._extract_llc_obs(rows), latents_of_actions(actions))
+
+
+class HRLAgent(OverLowLevel, CommonAgent):
     """The agent of `algo: name: hrl` or `hrl_continuous`.
 
     A step of the high level is `llc_steps` control steps under one latent: rewards are averaged
@@ -50,7 +96,6 @@ class HRLAgent(CommonAgent):
     The task is a `HierarchyEnv`.
 
     Attributes:
-        llc: the low-level controller.
         style_rewards: (N, 1) the low level's style rewards of the last step.
 
     Args:
@@ -72,17 +117,18 @@ class HRLAgent(CommonAgent):
 
     stored_episodes = ("_noise",)
     unsupported_keys = (*CommonAgent.unsupported_keys, "central_value_config")
-    _latent_dim = ReadOnly("llc.latent_dim", "the low-level controller")
-    _task_size = ReadOnly("llc.num_task_obs", "the task")
-    _llc_steps = ReadOnly("_hrl.llc_steps")
-    _llc_agent = ReadOnly("llc", "_build_llc, which returns it")
     _task_reward_w = ReadOnly("_hrl.task_reward_w")
     _disc_reward_w = ReadOnly("_hrl.disc_reward_w")
 
     # --- constructor -----------------------------------------------------------------------
 
-    def _complete_section(self, given: dict[str, Any]) -> dict[str, Any]:
-        return complete_params(given, _DEFAULTS)
+    def __init__(
+        self,
+        base_name: str,
+        params: dict[str, Any] | None = None,
+        config: dict[str, Any] | None = None,
+    ) -> None:
+        super().__init__(base_name, complete_params(given_params(params, config), _DEFAULTS))
 
     def load_networks(self, params: dict[str, Any]) -> None:
         """Build the network that the section names, unless the configuration holds one."""
@@ -92,27 +138,13 @@ class HRLAgent(CommonAgent):
     def _load_config_params(self, config: dict[str, Any]) -> None:
         super()._load_config_params(config)
         self._hrl = read_agent_params(config, HRLParams)
-        self._env = require(self.vec_env.env, HierarchyEnv, "train.params.algo: a hierarchy")
+        self._env, self._llc_device = self.vec_env.env, self.ppo_device
         self._noise = CorrelatedNoise(self._hrl.exploration_correlation)
         self.llc = self._build_llc(self._hrl)
         self.control_steps_per_action = self._hrl.llc_steps
         self.style_rewards = torch.zeros(self.num_actors, 1, device=self.ppo_device)
         # A subclass' reward as published depends on the motion alone.
         self._disc_reward_takes_latents = accepts(self._calc_disc_reward, 2)
-
-    def _build_llc(self, params: HRLParams) -> LowLevelPolicy:
-        """Return the low-level controller that the keys name."""
-        return LowLevelPolicy(
-            params.llc_config,
-            llc_checkpoint_for(params.llc_checkpoint, self._section),
-            self._build_llc_agent_config(),
-            self.ppo_device,
-            self._precision,
-        )
-
-    def _build_llc_agent_config(self) -> LowLevelSizes:
-        """Return the sizes that the low-level controller has in this task."""
-        return LowLevelSizes.from_task(self._env)
 
     def _setup_action_space(self) -> None:
         """Make latents the actions: until here everything has the size of the task's actions."""
@@ -154,15 +186,6 @@ class HRLAgent(CommonAgent):
         """Return the observation tensor (N, O), given what the environment returned."""
         tensors: Any = self.obs_to_tensors(obs)
         return tensors["obs"] if isinstance(tensors, dict) else tensors
-
-    def _extract_llc_obs(self, obs: Tensor) -> Tensor:
-        """Return observations (N, O) without the task's features."""
-        return self.llc.extract_obs(obs)
-
-    def _compute_llc_action(self, obs: Any, actions: Tensor) -> Tensor:
-        """Return the task's actions (N, A) under the latents that `actions` (N, Z) point to."""
-        llc_obs = self._extract_llc_obs(self._obs_tensor(obs))
-        return self.llc.actions(llc_obs, latents_of_actions(actions))
 
     def env_step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
         """Make `llc_steps` control steps under one latent.
@@ -245,16 +268,41 @@ class HRLAgent(CommonAgent):
         act = self.llc.policy_under(choose, self._hrl.llc_steps, self._compute_llc_action)
         return lambda obs: act(self._obs_tensor(obs))
 
-    def _before_update(self, batch_dict: dict[str, Any]) -> None:
-        super()._before_update(batch_dict)
-        style = self.experience_buffer.tensor_dict["disc_rewards"]
-        self.train_log.add({"disc_reward_mean": style.mean(), "disc_reward_std": style.std()})
 
-    def _record_train_batch_info(
-        self, batch_dict: dict[str, Any], train_info: dict[str, Any]
-    ) -> None:
-        super()._record_train_batch_info(batch_dict, train_info)
-        train_info["disc_rewards"] = batch_dict["disc_rewards"]
+class CorrelatedNoise(Stateful):
+    """Makes the noise of a Gaussian policy a process in time; each sample stays standard normal.
+
+    Independent noise on a latent selects another skill six times a second, and none is carried out.
+    Hollenstein et al. 2024, "Colored Noise in PPO" (arXiv 2312.11091), with a first-order
+    autoregressive process in place of their coloured one.
+
+    Args:
+        correlation: of the noise of two steps that follow each other, 0 to below 1. PPO's
+            probability of an action still assumes independent noise, as in the paper.
+    """
+
+    stored = ("_last",)
+
+    def __init__(self, correlation: float) -> None:
+        self._correlation = correlation
+        self._last: Tensor | None = None
+
+    def apply(self, actions: Tensor, mus: Tensor, sigmas: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions (N, A) and their negative log probabilities (N,) under the policy.
+
+        Args:
+            actions: mus + sigmas * standard normal noise.
+            mus: mean actions (N, A).
+            sigmas: standard deviations (N, A).
+        """
+        noise = (actions - mus) / sigmas
+        if self._last is not None:
+            rho = self._correlation
+            noise = rho * self._last + math.sqrt(1.0 - rho * rho) * noise
+        self._last = noise
+        constant = 0.5 * math.log(2.0 * math.pi) * noise.shape[-1]
+        neglogp = 0.5 * noise.square().sum(dim=-1) + torch.log(sigmas).sum(dim=-1) + constant
+        return mus + sigmas * noise, neglogp
 
 
 def complete_params(params: Mapping[str, Any], train_file: str) -> dict[str, Any]:

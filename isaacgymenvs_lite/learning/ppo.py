@@ -13,13 +13,12 @@ from torch import Tensor
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.env_interface import Env, diverged_in
-from isaacgymenvs_lite.learning.central_value import take_models
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
-from isaacgymenvs_lite.learning.data_parallel import leave_out_nccl
+from isaacgymenvs_lite.learning.cpu.parallel import take_models
 from isaacgymenvs_lite.learning.diverged import EpisodeMeters, RolloutMask, fit_datasets, take_rows
-from isaacgymenvs_lite.learning.losses import normalize_advantages
+from isaacgymenvs_lite.learning.modules.running_mean_std import normalize_advantages
 from isaacgymenvs_lite.learning.restoring import RestoringPlayer
-from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
+from isaacgymenvs_lite.learning.safeguards import PPOSafeguards, leave_out_nccl
 from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
@@ -65,7 +64,7 @@ class PPOAgent(PPOSafeguards):
     def env_reset(self) -> Any:
         """Reset the environment at the start of training.
 
-        The work beside the sliced networks is too small to be split by torch's own threads. With
+        All work but the sliced networks is too small to be split by torch's own threads. With
         deterministic algorithms recurrent networks are not split either.
         """
         if self._sliced or torch.are_deterministic_algorithms_enabled():

@@ -142,7 +142,7 @@ class ReadOnly:
 
 
 def is_overridden(instance: Any, method: Callable[..., Any]) -> bool:
-    """Return whether the class of `instance` has another method of this name."""
+    """Return whether the class of `instance` overrides a method."""
     return getattr(type(instance), method.__name__) is not method
 
 

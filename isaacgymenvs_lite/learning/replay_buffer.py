@@ -49,10 +49,9 @@ class ReplayBuffer(PublishedNames):
         return {name: ring[:n] for name, ring in self._data_buf.items()}
 
     def store(self, data: dict[str, Tensor]) -> None:
-        """Append rows; the oldest are overwritten. Of more rows than fit the last ones stay.
+        """Append rows, name -> (n, ...); the oldest are overwritten, the last ones stay.
 
-        Args:
-            data: name -> (n, ...); the same names and row shapes in every call. n may be 0.
+        Names and row shapes are the same in every call. n may be 0.
         """
         n = len(next(iter(data.values())))
         if n == 0:
@@ -70,7 +69,7 @@ class ReplayBuffer(PublishedNames):
         self._head = (self._head + n) % self._buffer_size
 
     def _init_data_buf(self, data: dict[str, Tensor]) -> None:
-        """Allocate the rings for rows of the shapes in the first `store`."""
+        """Allocate rings for rows of these shapes."""
         for name, rows in data.items():
             shape = (self._buffer_size, *rows.shape[1:])
             self._data_buf[name] = torch.empty(shape, dtype=rows.dtype, device=self._device)
@@ -104,7 +103,7 @@ class ReplayBuffer(PublishedNames):
 
     def state_dict(self) -> dict[str, Any]:
         """Return the stored rows, and the places of the next rows to store and to sample."""
-        # A file would hold the whole ring of which it gets a part: a part is copied.
+        # A part is copied: else a file would hold the whole ring.
         is_full = self._total_count >= self._buffer_size
         rows = {name: row if is_full else row.clone() for name, row in self.rows.items()}
         counts = [self._head, self._total_count, self._sample_head]

@@ -1,8 +1,7 @@
 """Checks that a checkpoint fits agent or player before anything of it is loaded.
 
-Adam's fused step reads as many numbers of a moment as its parameter has, whatever the moment's
-size is, and `load_state_dict` stops halfway. Here every tensor is compared with the tensor that it
-replaces, and nothing is loaded unless all of them fit.
+`load_state_dict` stops halfway at a tensor that does not fit, and Adam's fused step reads as many
+entries of a moment as its parameter has, whatever the moment's size is.
 """
 
 from __future__ import annotations
@@ -32,8 +31,8 @@ class Parts:
         modules: networks and normalisers.
         optimizers: of the agent; all of them are Adam.
         tensors: single tensors.
-        others: objects whose state holds only numbers, gradient scalers.
-        optional: keys that a checkpoint may leave out.
+        others: gradient scalers, whose state holds only numbers.
+        optional: keys that a checkpoint may lack.
         counts: True if it must have `epoch` and `frame`.
     """
 
@@ -101,7 +100,6 @@ class Fitting:
         return fitted
 
     def _module(self, given: Mapping[str, Tensor], module: nn.Module, where: str) -> dict[str, Any]:
-        """Return the state of a module, under the module's own names."""
         own = module.state_dict()
         names = {name.replace(_COMPILED_PREFIX, ""): name for name in own}
         for name, own_name in names.items():
@@ -135,7 +133,7 @@ class Fitting:
     def _optimizer(
         self, given: Any, optimizer: torch.optim.Optimizer, model: nn.Module | None, where: str
     ) -> dict[str, Any]:
-        """Return the moments of an Adam, in the groups of `optimizer` with their settings."""
+        """Return the moments of an Adam with the groups and settings of `optimizer`."""
         own = optimizer.state_dict()["param_groups"]
         parameters = [p.detach() for group in optimizer.param_groups for p in group["params"]]
         try:

@@ -99,9 +99,8 @@ class Resuming(BaseAlgorithm):
     def store_training_state(self) -> None:
         """Write the state after this epoch, unless it is written already.
 
-        A failure is logged, and the training continues: the former state stays. The main process
-        writes last: `resume=` looks for its file, and the files of the other processes are complete
-        by then.
+        A failure is logged, and the training continues: the former state stays. `resume=` looks for
+        the file of the main process, which is therefore written last.
         """
         if self._stored_epoch == self.epoch_num:
             return
@@ -134,12 +133,9 @@ class Resuming(BaseAlgorithm):
             state = TrainingState(weights, memory, buffers or None, group.size)
             files = write_training_state(run, state, self.epoch_num, token, group.rank)
         except Exception as error:  # a full disk, or an attribute of a user's own task
-            log.warning(
-                "cannot write the training state of epoch %d below %s (%s); training goes on",
-                self.epoch_num,
-                run,
-                one_line(getattr(error, "strerror", None) or error),
-            )
+            reason = one_line(getattr(error, "strerror", None) or error)
+            message = "cannot write the training state of epoch %d below %s (%s); training goes on"
+            log.warning(message, self.epoch_num, run, reason)
             return False
         if not self._reported_size:
             self._reported_size = True
@@ -149,10 +145,8 @@ class Resuming(BaseAlgorithm):
         return True
 
     def _read(self, kind: str) -> dict[str, Any]:
-        return {
-            name: read_state(getattr(holder, attribute))
-            for name, holder, attribute in self._attributes(kind)
-        }
+        found = self._attributes(kind)
+        return {name: read_state(getattr(holder, attribute)) for name, holder, attribute in found}
 
     def _attributes(self, kind: str) -> Iterator[tuple[str, Any, str]]:
         """Yield the listed name, the object and the attribute's name of all stored attributes."""
@@ -166,7 +160,7 @@ class Resuming(BaseAlgorithm):
                 yield name, holder, attribute
 
     def _learning_rates(self) -> list[float]:
-        """Return the learning rates of the configuration; a schedule may have changed them."""
+        """Return the learning rates of the configuration, not of a schedule."""
         return [float(self.config[key]) for key in _RATES if key in self.config]
 
     @property

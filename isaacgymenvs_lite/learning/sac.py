@@ -21,34 +21,23 @@ from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
 from isaacgymenvs_lite.utils.state import Stateful
 
 
-class _EndOfEpoch(Stateful, AlgoObserver):
-    """Checks and saves around the observer's report of an epoch; rl_games' loop has no hook there.
+class _EndOfEpoch(Stateful):
+    """The observer of a training, which also checks and saves its agent after each epoch.
 
-    Args:
-        agent: the agent that is checked and saved.
-        observer: of the training.
+    rl_games' loop calls nothing else there.
     """
 
     stored = ("_observer",)
 
     def __init__(self, agent: SACAgent, observer: AlgoObserver) -> None:
-        super().__init__()
         self._agent, self._observer = agent, observer
 
-    def after_init(self, algo: Any) -> None:
-        self._observer.after_init(algo)
-
-    def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
-        self._observer.process_infos(infos, done_indices)
-
-    def after_steps(self) -> None:
-        self._observer.after_steps()
-
-    def after_clear_stats(self) -> None:
-        self._observer.after_clear_stats()  # type: ignore[attr-defined]  # some have it
+    def __getattr__(self, name: str) -> Any:
+        return getattr(vars(self)["_observer"], name)
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        self._agent.check_epoch()
+        self._agent._check_learned()
+        self._agent._has_learned = True
         self._observer.after_print_stats(frame, epoch_num, total_time)
         self._agent.save_before_first_episode()
         self._agent.end_before_first_episode()
@@ -175,6 +164,10 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
             counts=True,
         )
 
+    @property
+    def _steps_of_epoch(self) -> int:
+        return self._step % self.num_steps_per_episode
+
     def env_step(self, actions: Tensor) -> Any:
         """Step the task, and check that actions, observations and rewards are finite.
 
@@ -187,22 +180,10 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         self.replay_buffer.left_out = diverged
         self._meters.leave_out(diverged, dones)
         rows = {"obses": result[0]["obs"], "actions": actions, "rewards": result[1]}
-        step = self._step % self.num_steps_per_episode
-        self._check_rows({name: value.unsqueeze(0) for name, value in rows.items()}, step)
+        rows = {name: value.unsqueeze(0) for name, value in rows.items()}
+        self._check_rows(rows, self._steps_of_epoch)
         self._step += 1
         return result
-
-    def act(self, obs: Any, action_dim: Any, sample: bool = False) -> Any:
-        """As rl_games.
-
-        Raises:
-            NotFiniteError: the networks are not finite, so that no action can be sampled.
-        """
-        try:
-            return super().act(obs, action_dim, sample)
-        except (RuntimeError, ValueError):
-            self.explain_failed_action(obs, self._step % self.num_steps_per_episode)
-            raise
 
     def mean_policy(self, env: Env) -> Callable[[dict[str, Tensor]], Tensor]:
         """Return mean actions (N, A) for observations of `env`, another task of the same kind."""
@@ -228,17 +209,8 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
 
     @property
     def next_logged_frame(self) -> int:
-        """Frame under which the next epoch writes its scalars: the one at its end."""
+        """Frame under which the next epoch writes its scalars: the frame at its end."""
         return self.frame + 1
-
-    def check_epoch(self) -> None:
-        """Check networks and optimisers after an epoch.
-
-        Raises:
-            NotFiniteError: one is not finite.
-        """
-        self._check_learned()
-        self._has_learned = True
 
     def end_before_first_episode(self) -> None:
         """End the training at max_epochs or max_frames with a checkpoint, also without a reward."""

@@ -1,29 +1,29 @@
-"""Mixins that protect a training: they check what it restores and saves, and end it in time.
+"""Base classes of all agents: they check what is restored, learned and saved.
 
-For agents in rl_games' own training loop. That loop loads any checkpoint unchecked, continues with
-networks that are nan, writes them over good ones, and makes no periodic checkpoint before the first
-episode has ended.
+rl_games' own training loop loads any checkpoint unchecked, continues with networks that are nan,
+writes them over good ones, and makes no periodic checkpoint before the first episode has ended.
 """
 
 from __future__ import annotations
 
+import copy
 import logging
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import torch
+from rl_games.algos_torch.a2c_continuous import A2CAgent
 from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints.files import Retention, load_checkpoint, save_checkpoint
 from isaacgymenvs_lite.checkpoints.packed import POLICY_KEY
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError
-from isaacgymenvs_lite.learning.data_parallel import DataParallel
+from isaacgymenvs_lite.errors import ConfigError, NotFiniteError
+from isaacgymenvs_lite.learning.diverged import RolloutMask
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
 from isaacgymenvs_lite.learning.resuming import Resuming
 
@@ -42,6 +42,8 @@ _ROLLOUT = {
     "disc_rewards": "style rewards",
 }
 _OF_TASK = ("obses", "states", "rewards", "amp_obs")
+# Statistics of episodes that processes share.
+_METERS = ("game_rewards", "game_shaped_rewards", "game_lengths")
 
 
 class Safeguards(Resuming):
@@ -53,6 +55,7 @@ class Safeguards(Resuming):
     _restored_from = ""
     _last_saved: Path | None = None
     _last_periodic = ""
+    _retention: Retention | None = None
     best_is_measured = False
     """Whether `save_best` alone writes the best checkpoint."""
     _has_learned = False
@@ -69,13 +72,9 @@ class Safeguards(Resuming):
         Raises:
             CheckpointError: it cannot be used; the agent is unchanged then.
         """
-        former, self._restored_from = self._restored_from, str(fn)
-        try:
-            read = self.read_resumed if self.config.get("resume") else load_checkpoint
-            self.set_full_state_weights(read(fn), set_epoch)
-        except CheckpointError:
-            self._restored_from = former  # no good checkpoint to name later
-            raise
+        self._restored_from = str(fn)
+        read = self.read_resumed if self.config.get("resume") else load_checkpoint
+        self.set_full_state_weights(read(fn), set_epoch)
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
         """Load a checkpoint, once all of it fits; with a packed policy a new training begins.
@@ -107,14 +106,27 @@ class Safeguards(Resuming):
         """Train as rl_games.
 
         Raises:
-            ConfigError: what was restored has reached the last epoch.
+            ConfigError: the restored training has reached the last epoch.
+            NotFiniteError: the policy cannot sample actions: observations or networks are broken.
         """
         if self._restored_from and self.epoch_num >= self.max_epochs > 0:
             raise ConfigError(
                 f"{self._source}: its last epoch was {self.epoch_num}, and max_epochs is"
                 f" {self.max_epochs}; to go on give more of them: max_iterations=N, in all"
             )
-        return super().train()
+        try:
+            return super().train()
+        except (RuntimeError, ValueError):
+            self._check_learned()
+            rows = self.obs["obs"] if isinstance(self.obs, dict) else self.obs
+            if isinstance(rows, Tensor):
+                self._check_rows({"obses": rows.unsqueeze(0)}, self._steps_of_epoch)
+            raise
+
+    @property
+    def _steps_of_epoch(self) -> int:
+        """Policy steps of the rollout so far."""
+        raise NotImplementedError
 
     @property
     def _source(self) -> str:
@@ -154,11 +166,8 @@ class Safeguards(Resuming):
         self._last_saved = saved
         if saved.name.startswith(f"last_{self.config['name']}_"):
             self._last_periodic = saved.name
+            self._retention = self._retention or Retention(self.config.get("keep_checkpoints", 0))
             self._retention.written(saved, self.epoch_num)
-
-    @cached_property
-    def _retention(self) -> Retention:
-        return Retention(self.config.get("keep_checkpoints", 0))
 
     def save_before_first_episode(self) -> None:
         """Write the periodic checkpoint that rl_games leaves out before it has a mean reward."""
@@ -184,7 +193,7 @@ class Safeguards(Resuming):
         self._check_finite(dict(_tensors_of(self._parts())))
 
     def _check_finite(self, tensors: Mapping[str, Tensor]) -> None:
-        """Check tensors by the names that a message has for them.
+        """Check tensors, and name up to three that are not finite.
 
         Raises:
             NotFiniteError: one is not finite.
@@ -198,7 +207,7 @@ class Safeguards(Resuming):
             raise self._not_finite(f"{', '.join(broken[:3])}{more} {are} not finite")
 
     def _not_finite(self, what: str) -> NotFiniteError:
-        """Return the error that ends the training, and write its message to TensorBoard."""
+        """Return the error that ends the training."""
         good = self._good_checkpoint
         after = f"go on from the last good checkpoint, {good}," if good else "start again"
         return self._end(
@@ -207,6 +216,7 @@ class Safeguards(Resuming):
         )
 
     def _end(self, message: str) -> NotFiniteError:
+        """Return an error, and write its message to TensorBoard."""
         if self.writer is not None:  # only the main process has one
             self.writer.add_text("advice", message, self.frame)
         return NotFiniteError(message)
@@ -225,26 +235,11 @@ class Safeguards(Resuming):
         file = self._last_saved or self._restored_from
         return f"checkpoint={file}" if file else ""
 
-    def explain_failed_action(self, obs: Any, step: int) -> None:
-        """Find the cause of torch's error when the policy cannot sample the actions of a step.
-
-        Raises:
-            NotFiniteError: observations or networks are not finite.
-        """
-        self._check_learned()
-        rows = obs["obs"] if isinstance(obs, dict) else obs
-        if isinstance(rows, Tensor):
-            self._check_rows({"obses": rows.unsqueeze(0)}, step)
-
     def _check_rows(self, rows: Mapping[str, Tensor], first_step: int = 0) -> None:
-        """Check the rollout, rows (steps, N, ...) by the names of rl_games.
-
-        Args:
-            rows: of the rollout.
-            first_step: of the epoch.
+        """Check a rollout: rows (steps, N, ...) by rl_games' names, from a step of the epoch on.
 
         Raises:
-            NotFiniteError: a number is not finite; the message has its name, place and time.
+            NotFiniteError: a value is not finite; the message has its name, place and time.
         """
         given = {
             name: rows[name].flatten(2) if rows[name].dim() > 2 else rows[name].unsqueeze(-1)
@@ -284,6 +279,113 @@ class Safeguards(Resuming):
         )
 
 
+class DataParallel(A2CAgent):
+    """PPO of several processes, each with its own environments; of one, it is rl_games' PPO.
+
+    rl_games averages gradients, KL and the decision to end over the processes, but its constructor
+    starts NCCL: the agent is made as in a single process, and joins the others before its first
+    epoch. This class adds equal parameters at the start, and frames and statistics of episodes of
+    all processes. Normalisers and advantages are in `distributed.moments`.
+    """
+
+    has_joined = False
+    """Whether it trains together with the others."""
+    _own_meters: dict[str, Any] | None = None
+
+    # rl_games sets all three to a single process' values.
+    @property
+    def global_rank(self) -> int:
+        """Rank of this process; 0 writes logs and checkpoints."""
+        return current_group().rank
+
+    @global_rank.setter
+    def global_rank(self, rank: int) -> None: ...
+
+    @property
+    def local_rank(self) -> int:
+        """Rank of this process on its machine."""
+        return current_group().local_rank
+
+    @local_rank.setter
+    def local_rank(self, rank: int) -> None: ...
+
+    @property
+    def world_size(self) -> int:
+        """Number of processes."""
+        return current_group().size
+
+    @world_size.setter
+    def world_size(self, size: int) -> None: ...
+
+    def join_others(self, tensors: list[Tensor]) -> None:
+        """Give all processes the learned tensors of the main process, once.
+
+        Raises:
+            PeerError: another process ended before.
+            ConfigError: a normaliser that cannot be shared.
+        """
+        group = current_group()
+        if self.has_joined or group.size == 1:
+            return
+        error = None
+        if self.normalize_advantage and self.normalize_rms_advantage:
+            error = ConfigError(
+                "train.params.config.normalize_rms_advantage=True: data-parallel training has no"
+                " moving statistics of advantages; set it to False"
+            )
+        group.fail_together(error)
+        self.has_joined = True
+        group.take_from_main_(tensors)
+        self.multi_gpu = True
+        # rl_games sends learning rates in float32: a resumed run has them rounded, too.
+        self.update_lr(float(self.last_lr))
+        if self.has_central_value:
+            self.central_value_net.multi_gpu = True
+            self.central_value_net.world_size = group.size
+            self.central_value_net.update_lr(self.central_value_net.lr)
+
+    def train(self) -> Any:
+        """Train as rl_games."""
+        result = super().train()
+        if self.has_joined:
+            self.count_frames()  # of the last epoch
+        return result
+
+    def count_frames(self) -> None:
+        """Count the frames of an epoch, which rl_games does in the main process alone."""
+        group = current_group()
+        if not group.is_main:
+            self.frame += self.curr_frames * group.size
+
+    # --- statistics of episodes ------------------------------------------------------------
+
+    def take_own_meters(self) -> None:
+        """Take back the meters that this process updates, which `share_meters` has replaced."""
+        own, self._own_meters = self._own_meters, None
+        for name, meter in (own or {}).items():
+            setattr(self, name, meter)
+
+    def share_meters(self) -> None:
+        """Replace the meters of finished episodes by all processes' meters, for one epoch's log.
+
+        Their means are weighted by the numbers of episodes that the processes' meters hold.
+        """
+        group = current_group()
+        if group.size == 1:
+            return
+        self._own_meters = {name: getattr(self, name) for name in _METERS}
+        for name, own in self._own_meters.items():
+            shared = copy.deepcopy(own)
+            total = sum(group.gather(own.current_size))
+            shared.mean = group.sum_(own.mean * own.current_size) / max(total, 1)
+            if name != "game_lengths":
+                # rl_games makes it (values,) and updates it to (1, values), which its log expects;
+                # this process may have had no episode yet.
+                shared.mean = shared.mean.view(1, -1)
+            shared.current_size = min(total, own.max_size)
+            setattr(self, name, shared)
+
+
 class PPOSafeguards(Safeguards, DataParallel):
     """rl_games' PPO with these checks; the base of PPOAgent and CommonAgent.
 
@@ -298,8 +400,11 @@ class PPOSafeguards(Safeguards, DataParallel):
     )
     stored_episodes = ("current_shaped_rewards", "rnn_states", "central_value_net.rnn_states")
 
-    # Policy steps of the rollout so far.
-    _acted = 0
+    _mask: RolloutMask
+
+    @property
+    def _steps_of_epoch(self) -> int:
+        return self._mask.num_steps % self.horizon_length
 
     def _parts(self) -> Parts:
         modules: dict[str, Any] = {"model": self.model}
@@ -386,27 +491,12 @@ class PPOSafeguards(Safeguards, DataParallel):
             weights = {**own, **weights}
         super().set_stats_weights(weights)
 
-    def get_action_values(self, obs: Any) -> Any:
-        """As rl_games.
-
-        Raises:
-            NotFiniteError: observations or networks are not finite: no action can be sampled.
-        """
-        try:
-            result = super().get_action_values(obs)
-        except (RuntimeError, ValueError):
-            self.explain_failed_action(obs, self._acted)
-            raise
-        self._acted += 1
-        return result
-
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
         """Make the training set of a rollout, once the rollout is found finite.
 
         Raises:
             NotFiniteError: it is not; the message has place and time.
         """
-        self._acted = 0
         self._check_rows(self.experience_buffer.tensor_dict)
         obs: Any = self.obs
         newest = {"obses": obs.get("obs"), "states": obs.get("states")}
@@ -425,19 +515,27 @@ class PPOSafeguards(Safeguards, DataParallel):
             NotFiniteError: they are not; rl_games has not saved them.
         """
         (_step_time, _play_time, _update_time, a_losses, c_losses, entropies, *_rest) = args
-        self._check_losses({"a_loss": a_losses, "c_loss": c_losses, "entropy": entropies})
+        losses = {"a_loss": a_losses, "c_loss": c_losses, "entropy": entropies}
+        self._check_finite({name: torch.stack(each) for name, each in losses.items() if each})
         self._check_learned()
         self._has_learned = True
         super().write_stats(total_time, epoch_num, *args)
         self.save_before_first_episode()
 
-    def _check_losses(self, losses: Mapping[str, list[Tensor]]) -> None:
-        """Check the losses of an epoch, numbers by name.
 
-        Raises:
-            NotFiniteError: one is not finite.
-        """
-        self._check_finite({name: torch.stack(each) for name, each in losses.items() if each})
+def leave_out_nccl(config: dict[str, Any]) -> None:
+    """Keep rl_games' constructor from starting NCCL, in place; the agent joins the others later.
+
+    Raises:
+        ConfigError: there are no others.
+    """
+    if config.get("multi_gpu") and current_group().size == 1:
+        raise ConfigError(
+            "train.params.config.multi_gpu=True: this program trains in one process; start it with"
+            " torchrun, and make and run the Runner in `with"
+            " isaacgymenvs_lite.distributed.group.joined_group(device, timeout_s):`"
+        )
+    config["multi_gpu"] = False
 
 
 def _tensors_of(parts: Parts) -> Iterator[tuple[str, Tensor]]:

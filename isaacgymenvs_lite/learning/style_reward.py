@@ -96,14 +96,10 @@ class StyleReward(StyleLosses):
         return self._params.task_reward_w * task_rewards + self._params.disc_reward_w * style
 
     def update(self, epochs: int = 1) -> dict[str, float]:
-        """Train the discriminator on the motion since the last update.
-
-        Args:
-            epochs: how often each row of that motion is seen.
+        """Train the discriminator on the motion since the last update, `epochs` times.
 
         Returns:
-            means of what `_disc_loss` returns: `disc_agent_acc`, `disc_demo_acc`,
-            ...; nothing if nothing was rewarded.
+            Means of what `_disc_loss` returns; nothing if nothing was rewarded.
         """
         if not self._rollout:
             return {}

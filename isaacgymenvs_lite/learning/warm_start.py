@@ -37,17 +37,17 @@ def clone_actions(
     The critic and a noise that is learned stay as they are.
 
     Args:
-        model: rl_games' model, with an actor of layers of its own.
-        normalizer: of its observations, which takes the noisy ones in; None without one.
+        model: rl_games' model, with an actor that shares no layers.
+        normalizer: of its observations, which counts the noisy observations in; None without one.
         demo: on the model's device; `obs` as the model receives them.
-        num_steps: as `descend`.
+        num_steps: of gradient descent.
         noise: standard deviation of the noise on observations, as a share of theirs.
         latents: (n, Z) of the demonstration, for an actor that receives them.
     """
     std = noise * demo.obs.std(dim=0)
     if normalizer is not None:
         normalizer.count_in(demo.obs + std * torch.randn_like(demo.obs))
-        # Of entries that hardly differ in the clips; else a falling robot's were all at the limit.
+        # Entries that hardly differ in the clips would all be at the limit when a robot falls.
         normalizer.running_var.clamp_(min=_LEAST_STD**2)
     network = model.a2c_network
     model.eval()
@@ -70,8 +70,8 @@ def descend(
     """Take steps of Adam, whose size falls linearly; return the last step's loss.
 
     Args:
-        loss: returns it for a batch of its own choice.
-        parameters: those to learn; the gradients of all others are left as they are.
+        loss: returns the loss of a batch of its own choice.
+        parameters: learn; the gradients of all others stay as they are.
         num_steps: at least 1.
     """
     learned = list(parameters)

@@ -343,7 +343,7 @@ def find_replacement(
     ranked = sorted(objectives, key=lambda index: (-objectives[index], index))
     best = ranked[: math.ceil(settings.replace_fraction_best * total)]
     if not settings.dbg_mode:
-        # A policy that is not known yet ranks behind all others.
+        # A policy that is not known yet ranks last.
         unknown = [index for index in range(total) if index not in objectives]
         worst = [*ranked, *unknown][-math.ceil(settings.replace_fraction_worst * total) :]
         reached = min(objectives[index] for index in best)

@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class ReportSettings:
-    """Arguments of the command beside the run."""
+    """Arguments of the command in addition to the run."""
 
     out: str = setting("")
     """File; '': report.html in the run's folder."""

@@ -47,7 +47,7 @@ class ReferenceClips:
         self._motion_lib: MotionLib = env.motion_lib
         self._dt_s = float(env.dt)
         self._maker = TrackMaker(env.simulation.model)
-        # Of each clip the poses without the root, one for each control step.
+        # Poses of each clip without the root, at every control step.
         self._joints: list[Track] = []
         for motion_id in range(env.motion_lib.num_motions()):
             length_s = float(self._motion_lib.get_motion_length([motion_id]))

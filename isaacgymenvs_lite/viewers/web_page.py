@@ -59,7 +59,7 @@ class WebPage:
         check_page(port)
         self._env, self._keys_to_task = env, keys_to_task
         self._read_pose = PoseReader(env)
-        # As in videos, rough ground is drawn around the robot only.
+        # Rough ground is drawn around the robot only, like in videos.
         self._model: mujoco.MjModel = copy.copy(env.simulation.model)
         self._ground = TerrainWindow(self._model)
         self._ground.move(self._read_pose(0)[:2])

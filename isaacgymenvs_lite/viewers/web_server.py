@@ -231,7 +231,7 @@ class PagePlugin(plugin.ViewerPlugin):
     def send_keys(self, event: messages.UpdateEvent) -> None:
         """Send the keys that were pressed since the last picture."""
         for key, name in KEYS.items():
-            # Not with Ctrl and the like, nor again while it is held.
+            # Keys with Ctrl, and repetitions of a held key, are left out.
             if imgui.IsKeyChordPressed(imgui.Key.__members__[key]):
                 try:
                     self._link.send(name.encode())

@@ -51,7 +51,7 @@ class Agent(ABC):
     """An agent of a library with its environment; made from task, agent file, device and seed."""
 
     env: Any
-    """In the library's own form, with all wrappers."""
+    """The environment in the library's own form, with all wrappers."""
     stepper: AutoresetTask
     networks: Sequence[nn.Module]
     minibatch_rows: int
@@ -189,7 +189,7 @@ def loading(file: str | Path, library: str) -> Iterator[None]:
     except UserError:
         raise
     except Exception as error:  # on arbitrary bytes the readers may raise anything
-        fits = isinstance(error, (KeyError, RuntimeError, TypeError, ValueError))
+        fits = isinstance(error, (KeyError, OSError, RuntimeError, TypeError, ValueError))
         reason = one_line(error)[:160] if fits else "damaged, or with more than tensors in it"
         raise CheckpointError(
             f"checkpoint={file}: no checkpoint of {library} for this task and agent file"

@@ -34,7 +34,7 @@ __all__ = [
     "SkrlVecEnvWrapper",
 ]
 
-# Name -> its module here, and the package that it needs beside those that are always installed.
+# Name -> module here, and the optional package that it needs.
 _PLACES: dict[str, tuple[str, str | None]] = {
     "GymnasiumEnv": ("gymnasium_env", None),
     "GymnasiumVectorEnv": ("gymnasium_env", None),

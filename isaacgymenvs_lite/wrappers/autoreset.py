@@ -1,7 +1,7 @@
 """AutoresetTask: one reset convention for all tasks, which the adapters to other libraries use.
 
 Tasks start the next episode at different times (see `VecTask`). Here all of them start it within
-the step that ended the one before. A step returns the last observation of an episode beside the
+the step that ended the one before. A step returns the last observation of an episode and the
 first of the next, and separates failures from time limits.
 """
 

@@ -25,9 +25,6 @@ class RLGPUEnv(IVecEnv):
         num_actors: rl_games' number of environments, for `isaacgymenvs_lite.make` without
             `num_envs`; a creator of your own does not receive it.
         kwargs: for the creator.
-
-    Attributes:
-        env: the task.
     """
 
     def __init__(self, config_name: str, num_actors: int, **kwargs: Any) -> None:

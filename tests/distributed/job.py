@@ -146,7 +146,7 @@ def joined_first_step(agent: Any, steps: list[dict[str, Any]]) -> dict[str, Any]
         }
     if "grad_penalty" in steps[0]:
         (agent.discriminator.grad_penalty,) = {step["grad_penalty"] for step in steps}
-    agent._update_normalizers(joined("minibatch"))
+    agent.prepare_minibatch(joined("minibatch"))
     counted = _copied(agent.get_stats_weights(model_stats=True))
     gradients, _ = agent.executor.gradients(agent.compute_loss, joined("rows"), agent._learned)
     return {"counted": counted, "gradients": gradients}

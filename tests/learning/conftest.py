@@ -205,7 +205,6 @@ def scramble() -> Callable[[Any], None]:
 def make_training_set(agent: Any, batch: dict[str, Any]) -> dict[str, Tensor]:
     """Fill the agent's dataset with a rollout as an epoch does; return its rows."""
     agent.set_train()
-    agent._before_update(batch)
     agent.prepare_dataset(batch)
     return agent.dataset.values_dict
 

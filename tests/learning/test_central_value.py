@@ -103,7 +103,7 @@ def test_the_critic_learns_and_the_networks_own_where_it_is_asked_to(
     assert (critic <= moved) is own_learns
     assert bool(critic & moved) is own_learns
     assert {name for name in policy if "actor_mlp" in name} <= moved
-    (loss,) = agent.train_log.values["critic_loss"]
+    (loss,) = agent.train_log["critic_loss"]
     assert (float(loss) > 0.0) is own_learns
 
 

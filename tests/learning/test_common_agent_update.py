@@ -126,7 +126,7 @@ def test_total_loss_and_kl_against_the_formulas(make_agent):
     mu, sigma = result["mus"], result["sigmas"]
     bound = (np.maximum(mu - 1, 0) ** 2 + np.minimum(mu + 1, 0) ** 2).sum(-1)
     assert bound.mean() > 0.01
-    disc = agent.train_log.values["disc_loss"][0].item()
+    disc = agent.train_log["disc_loss"][0].item()
     total = (
         actor.mean()
         + 5 * critic.mean()
@@ -136,7 +136,7 @@ def test_total_loss_and_kl_against_the_formulas(make_agent):
     )
     # float32 sums of 16 rows
     assert heard[0] == pytest.approx(total, rel=1e-4)
-    info = {name: value[0].item() for name, value in agent.train_log.values.items()}
+    info = {name: value[0].item() for name, value in agent.train_log.items()}
     assert info["actor_loss"] == pytest.approx(actor.mean(), rel=1e-4)
     assert info["critic_loss"] == pytest.approx(critic.mean(), rel=1e-4)
     assert info["b_loss"] == pytest.approx(bound.mean(), rel=1e-4)
@@ -278,7 +278,7 @@ def test_without_bound_loss_none_is_counted(make_agent):
         agent.model.a2c_network.mu.bias += 3.0
     heard = tap_losses(agent)
     agent.train_actor_critic(minibatch)
-    info = {name: value[0].item() for name, value in agent.train_log.values.items()}
+    info = {name: value[0].item() for name, value in agent.train_log.items()}
     expected = info["actor_loss"] + 5 * info["critic_loss"] + 5 * info["disc_loss"]
     assert heard[0] == pytest.approx(expected, rel=1e-5)
 
@@ -310,7 +310,7 @@ def test_bfloat16_changes_the_losses_only_slightly(make_agent):
     layer.register_forward_hook(lambda module, args, out: dtypes.append(out.dtype))
     infos = []
     for agent in (exact, rough):
-        agent.train_log.start_epoch()
+        agent.train_log.clear()
         agent.train_actor_critic({k: v.clone() for k, v in minibatch.items()})
         infos.append(agent.train_info_means())
     assert dtypes == [torch.bfloat16]

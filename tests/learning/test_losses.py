@@ -1,14 +1,19 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from isaacgymenvs_lite.learning import losses
+from isaacgymenvs_lite.learning.common_agent import CommonAgent
+from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
+from isaacgymenvs_lite.learning.modules.running_mean_std import normalize_masked
 
 GAMMA, TAU = 0.99, 0.95
+AGENT: Any = SimpleNamespace(gamma=GAMMA, tau=TAU, ppo=True)
 
 
 def column(*numbers: float) -> torch.Tensor:
@@ -17,13 +22,12 @@ def column(*numbers: float) -> torch.Tensor:
 
 
 def test_advantages_of_three_steps_by_hand():
-    advantages = losses.discount_values(
+    advantages = CommonAgent.discount_values(
+        AGENT,
         torch.tensor([[0.0], [1.0], [0.0]]),
         column(0.2, 0.3, 0.1),
         column(1.0, 0.5, 0.0),
         column(0.3, 0.0, 0.4),
-        GAMMA,
-        TAU,
     )
     # delta = 1 + .99 * .3 - .2 = 1.097, .5 - .3 = .2, .99 * .4 - .1 = .296
     # A_2 = .296; A_1 = .2, the episode ended; A_0 = 1.097 + .99 * .95 * .2
@@ -55,13 +59,12 @@ def test_advantages_agree_with_a_slow_loop(dtype):
     shape = (7, 5, 2)
     values, rewards, next_values = (rng.normal(size=shape) for _ in range(3))
     dones = rng.random(shape[:2]) < 0.3
-    advantages = losses.discount_values(
+    advantages = CommonAgent.discount_values(
+        AGENT,
         torch.from_numpy(dones).to(dtype),
         torch.from_numpy(values),
         torch.from_numpy(rewards),
         torch.from_numpy(next_values),
-        GAMMA,
-        TAU,
     )
     expected = slow_advantages(dones, values, rewards, next_values, GAMMA, TAU)
     # float64 sums of at most seven terms
@@ -73,7 +76,7 @@ def test_advantages_leave_their_inputs_alone():
     rewards, next_values = column(3.0, 4.0), column(5.0, 6.0)
     inputs = (dones, values, rewards, next_values)
     copies = [x.clone() for x in inputs]
-    losses.discount_values(dones, values, rewards, next_values, GAMMA, TAU)
+    CommonAgent.discount_values(AGENT, dones, values, rewards, next_values)
     for before, after in zip(copies, inputs, strict=True):
         assert torch.equal(before, after)
 
@@ -91,19 +94,19 @@ def test_advantages_leave_their_inputs_alone():
 )
 def test_actor_loss_by_hand(ratio, advantage, expected, clipped):
     new_neglogp = torch.tensor([0.7])
-    loss, outside = losses.actor_loss(
-        new_neglogp + math.log(ratio), new_neglogp, torch.tensor([advantage]), True, 0.2
+    found = CommonAgent._actor_loss(
+        AGENT, new_neglogp + math.log(ratio), new_neglogp, torch.tensor([advantage]), 0.2
     )
     # neglogp is subtracted in float32: 1e-7 times the ratio
-    assert loss.item() == pytest.approx(expected, abs=1e-6)
-    assert outside.tolist() == [clipped]
+    assert found["actor_loss"].item() == pytest.approx(expected, abs=1e-6)
+    assert found["actor_clipped"].tolist() == [clipped]
 
 
 def test_actor_loss_has_no_gradient_beyond_the_clip_range():
     new_neglogp = torch.tensor([0.0, 0.0], requires_grad=True)
     old_neglogp = torch.log(torch.tensor([1.5, 1.1]))
-    loss, _ = losses.actor_loss(old_neglogp, new_neglogp, torch.ones(2), True, 0.2)
-    loss.sum().backward()
+    found = CommonAgent._actor_loss(AGENT, old_neglogp, new_neglogp, torch.ones(2), 0.2)
+    found["actor_loss"].sum().backward()
     assert new_neglogp.grad is not None
     # d(-ratio) / d(neglogp) = ratio inside the range
     assert new_neglogp.grad.tolist() == pytest.approx([0.0, 1.1], abs=1e-6)
@@ -111,18 +114,18 @@ def test_actor_loss_has_no_gradient_beyond_the_clip_range():
 
 def test_without_ppo_the_actor_loss_is_the_plain_policy_gradient():
     neglogp = torch.tensor([2.0, -1.0])
-    loss, clipped = losses.actor_loss(
-        torch.tensor([2.0, 0.0]), neglogp, torch.tensor([3.0, 0.5]), False, 0.2
+    agent: Any = SimpleNamespace(ppo=False)
+    found = CommonAgent._actor_loss(
+        agent, torch.tensor([2.0, 0.0]), neglogp, torch.tensor([3.0, 0.5]), 0.2
     )
-    assert loss.tolist() == [6.0, -0.5]
-    assert clipped.tolist() == [False, True]  # ratios 1 and e
+    assert found["actor_loss"].tolist() == [6.0, -0.5]
+    assert found["actor_clipped"].tolist() == [False, True]  # ratios 1 and e
 
 
 def test_critic_loss_has_no_factor_of_a_half():
-    loss = losses.critic_loss(
-        torch.tensor([[9.0]]), torch.tensor([[0.5]]), torch.tensor([[2.0]]), 0.2, False
-    )
-    assert loss.tolist() == [[2.25]]
+    old, value, target = (torch.tensor([[number]]) for number in (9.0, 0.5, 2.0))
+    found = CommonAgent._critic_loss(AGENT, old, value, 0.2, target, False)
+    assert found["critic_loss"].tolist() == [[2.25]]
 
 
 @pytest.mark.parametrize(
@@ -134,20 +137,17 @@ def test_critic_loss_has_no_factor_of_a_half():
     ],
 )
 def test_clipped_critic_loss_by_hand(value, expected):
-    loss = losses.critic_loss(
-        torch.tensor([[0.0]]), torch.tensor([[value]]), torch.tensor([[1.0]]), 0.2, True
-    )
-    assert loss.item() == pytest.approx(expected, abs=1e-6)
+    old, new, target = (torch.tensor([[number]]) for number in (0.0, value, 1.0))
+    found = CommonAgent._critic_loss(AGENT, old, new, 0.2, target, True)
+    assert found["critic_loss"].item() == pytest.approx(expected, abs=1e-6)
 
 
 def test_bound_loss_begins_at_one():
     mu = torch.tensor([[1.5, -1.2, 0.3], [1.05, 1.0, -1.0], [-2.0, 2.0, 0.0]])
     # .5^2 + .2^2; .05^2; 1 + 1
-    assert losses.bound_loss(mu).tolist() == pytest.approx([0.29, 0.0025, 2.0], abs=1e-6)
-
-
-def test_bound_loss_with_another_bound():
-    assert losses.bound_loss(torch.tensor([[1.5]]), 1.1).tolist() == pytest.approx([0.16])
+    assert CommonAgent.bound_loss(AGENT, mu).tolist() == pytest.approx(
+        [0.29, 0.0025, 2.0], abs=1e-6
+    )
 
 
 def test_diversity_loss_by_hand():
@@ -156,22 +156,34 @@ def test_diversity_loss_by_hand():
     latents = torch.tensor([[1.0, 0.0]])
     others = torch.tensor([[0.2, math.sqrt(0.96)]])
     # actions clamped to 1: (0.5^2 + 0.5^2) / 2 = 0.25; latents 0.5 - 0.1 = 0.4
-    loss = losses.diversity_loss(mu, other, latents, others, 1.0)
+    agent: Any = SimpleNamespace(
+        _eval_actor=lambda obs, new_latents: (other, None),
+        _amp=SimpleNamespace(amp_diversity_tar=1.0),
+    )
+    loss = GenAMPAgent._diversity_loss(agent, torch.zeros(1, 4), mu, latents, others)
     assert loss.item() == pytest.approx((1.0 - 0.25 / 0.40001) ** 2, rel=1e-5)
     assert loss.item() == pytest.approx(0.140637, abs=2e-5)
 
 
 def test_moments_of_masked_rows():
     values, mask = torch.tensor([1.0, 2.0, 3.0, 10.0]), torch.tensor([1.0, 1.0, 1.0, 0.0])
-    assert losses.normalize_masked(values, mask).tolist() == pytest.approx([-1.0, 0.0, 1.0, 8.0])
+    assert normalize_masked(values, mask).tolist() == pytest.approx([-1.0, 0.0, 1.0, 8.0])
     for few in (torch.zeros(4), torch.tensor([0.0, 1.0, 0.0, 0.0])):
-        assert torch.equal(losses.normalize_masked(values, few), values)
+        assert torch.equal(normalize_masked(values, few), values)
 
 
 def test_alignment_and_uniformity_by_hand():
     x, y = torch.eye(2)
-    found = torch.stack((x, x, x))
-    others = torch.stack((x, y, -x))  # squared distances 0, 2, 4
-    expected = torch.tensor([1.0, math.exp(-4), math.exp(-8)])
-    torch.testing.assert_close(losses.uniformity_loss(found, others), expected)
-    torch.testing.assert_close(losses.alignment_loss(found, others), torch.tensor([0.0, 2.0, 4.0]))
+    network = SimpleNamespace(eval_enc=lambda rows: rows)
+    agent: Any = SimpleNamespace(
+        model=SimpleNamespace(a2c_network=network),
+        _amp=SimpleNamespace(enc_alignment_coef=2.0, enc_uniformity_coef=3.0),
+    )
+    # squared distances to the near moments 0, 2, 4; to the others 0, 2, 4
+    triples = torch.stack([torch.stack((x, other, other)) for other in (x, y, -x)])
+    terms = GenAMPAgent._clip_encoding_losses(agent, triples)
+    weight, alignment = terms["enc_alignment_loss"]
+    assert (weight, alignment.item()) == (2.0, pytest.approx(2.0))
+    weight, uniformity = terms["enc_uniformity_loss"]
+    expected = (1.0 + math.exp(-4) + math.exp(-8)) / 3
+    assert (weight, uniformity.item()) == (3.0, pytest.approx(expected))

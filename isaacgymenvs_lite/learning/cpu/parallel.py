@@ -13,7 +13,6 @@ threads gives the same bits.
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 import threading
 from collections.abc import Callable
@@ -23,6 +22,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
 from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
@@ -43,8 +43,8 @@ _UNSLICED_LAYERS = (nn.RNNBase, nn.Dropout, nn.modules.batchnorm._BatchNorm)
 # Where a module keeps its parameters, buffers and layers.
 _MODULE_STATE = ("_parameters", "_buffers", "_modules", "_non_persistent_buffers_set")
 
-RowFunction = Callable[..., tuple[Tensor, ...]]
-"""Tensors of n rows -> tensors of n rows; rows are independent of each other."""
+RowFunction = Callable[..., Any]
+"""Tensors of n rows -> a tensor of n rows or a tuple of them; rows are independent."""
 LossFunction = Callable[[dict[str, Tensor]], tuple[Tensor, dict[str, Tensor]]]
 """{name: rows} -> a loss, the mean over these rows, and values: such means, or tensors of rows."""
 
@@ -58,7 +58,7 @@ def parallelize(model: Any, device: str | torch.device, mixed_precision: Any) ->
         mixed_precision: the key `train.params.config.mixed_precision`.
 
     Returns:
-        what evaluates the network.
+        The executor, which evaluates the network.
 
     Raises:
         ConfigError: mixed_precision is none of True, False, "auto".
@@ -72,6 +72,27 @@ def parallelize(model: Any, device: str | torch.device, mixed_precision: Any) ->
     return network.executor
 
 
+def take_models(agent: Any, device: str | torch.device, precision: Any) -> NetworkExecutor:
+    """Give the models of an agent, its policy's and its critic's, fast normalisers and networks.
+
+    Sets `value_mean_std`, which normalises the values of the critic that counts. `precision` is the
+    key `train.params.config.mixed_precision`. The result evaluates the policy's network.
+
+    Raises:
+        ConfigError: mixed_precision is none of True, False, "auto".
+    """
+    models = [agent.model]
+    if agent.has_central_value:
+        models.append(agent.central_value_net.model)
+    executors = []
+    for model in models:
+        replace_normalizers(model)
+        executors.append(parallelize(model, device, precision))
+    if agent.normalize_value:
+        agent.value_mean_std = models[-1].value_mean_std
+    return executors[0]
+
+
 class ParallelNetwork(nn.Module):
     """An rl_games network that several threads compute, each of them a slice of the rows.
 
@@ -81,11 +102,8 @@ class ParallelNetwork(nn.Module):
     shared under the same names, so that checkpoints do not change.
 
     Args:
-        network: to evaluate. With layers that mix rows (`_UNSLICED_LAYERS`) nothing is sliced.
-        device: where it is. Off the CPU nothing is sliced.
-        bfloat16: compute under autocast to bfloat16; results are float32 in any case.
-        num_threads: on a CPU, at most; at least 1.
-        row_products: as `NetworkExecutor`.
+        network: evaluated in slices, unless it has layers that mix rows (`_UNSLICED_LAYERS`).
+        device, bfloat16, num_threads, row_products: see `NetworkExecutor`.
 
     Attributes:
         serial: the network itself, computed by the calling thread in the parameters' precision.
@@ -118,19 +136,16 @@ class ParallelNetwork(nn.Module):
         """Return what the network returns; tensors with as many rows as `obs` are sliced."""
         if self._is_recurrent or not isinstance(inputs["obs"], Tensor):
             return self.executor.evaluate(self.serial, inputs)
-        num_rows = len(inputs["obs"])
-        names = [
-            name
-            for name, value in inputs.items()
-            if isinstance(value, Tensor) and value.ndim > 0 and len(value) == num_rows
-        ]
-        others = {name: value for name, value in inputs.items() if name not in names}
+        sliced: dict[str, Tensor] = {}
+        for name, value in inputs.items():
+            if isinstance(value, Tensor) and value.shape[:1] == inputs["obs"].shape[:1]:
+                sliced[name] = value
 
         def function(*rows: Tensor) -> tuple[Tensor, ...]:
-            *outputs, _no_state = self.serial({**others, **dict(zip(names, rows, strict=True))})
+            *outputs, _no_state = self.serial({**inputs, **dict(zip(sliced, rows, strict=True))})
             return tuple(outputs)
 
-        return (*self.executor.run(self, function, *(inputs[name] for name in names)), None)
+        return (*self.executor.run(self, function, *sliced.values()), None)
 
     def __getattr__(self, name: str) -> Any:
         # The second: while it is copied.
@@ -139,22 +154,16 @@ class ParallelNetwork(nn.Module):
         value = getattr(self.serial, name)
         if name not in getattr(self.serial, "row_functions", ()):
             return value
-        return functools.wraps(value)(functools.partial(self._call_row_function, value))
+        return functools.partial(self._call_row_function, value)
 
     def _call_row_function(self, method: Callable[..., Any], *rows: Tensor, **named: Any) -> Any:
-        names = [name for name, value in named.items() if isinstance(value, Tensor)]
-        others = {name: value for name, value in named.items() if name not in names}
-        several = True
+        sliced = {name: value for name, value in named.items() if isinstance(value, Tensor)}
 
-        def function(*part: Tensor) -> tuple[Tensor, ...]:
-            nonlocal several
-            named_part = dict(zip(names, part[len(rows) :], strict=True))
-            result = method(*part[: len(rows)], **named_part, **others)
-            several = not isinstance(result, Tensor)
-            return tuple(result) if several else (result,)
+        def function(*part: Tensor) -> Any:
+            named_part = dict(zip(sliced, part[len(rows) :], strict=True))
+            return method(*part[: len(rows)], **{**named, **named_part})
 
-        outputs = self.executor.run(self, function, *rows, *(named[name] for name in names))
-        return outputs if several else outputs[0]
+        return self.executor.run(self, function, *rows, *sliced.values())
 
     def __setattr__(self, name: str, value: Any) -> None:
         setattr(self.serial, name, value)
@@ -206,32 +215,39 @@ class NetworkExecutor:
         settings = (self.bfloat16, self.num_threads, self._can_slice, self._row_products)
         return NetworkExecutor, (self._device_type, *settings)
 
-    def run(self, module: nn.Module, function: RowFunction, *rows: Tensor) -> tuple[Tensor, ...]:
+    def run(self, module: nn.Module, function: RowFunction, *rows: Tensor) -> Any:
         """Return `function(*rows)` in float32, differentiable (once) by parameters and rows.
 
         Args:
             module: whose parameters `function` uses.
-            function: see `RowFunction`; several threads call it at the same time.
+            function: several threads call it at the same time.
             rows: (n, ...) each.
         """
-        evaluate = functools.partial(self.evaluate, function)
         slices = self._num_slices(len(rows[0]))
         if slices == 1 or getattr(self._within, "slice", False):
-            return evaluate(*rows)
-        if not torch.is_grad_enabled():
-            parts = self.map(evaluate, split_rows(rows, slices))
-            return tuple(torch.cat(column) for column in zip(*parts, strict=True))
-        parameters = [p for p in module.parameters() if p.requires_grad]
-        outputs = _SlicedFunction.apply(self, evaluate, slices, len(rows), *rows, *parameters)
-        return tuple(outputs)  # type: ignore[arg-type]
+            return self.evaluate(function, *rows)
+        several = True
 
-    def evaluate(
-        self, function: Callable[..., tuple[Any, ...]], *arguments: Any
-    ) -> tuple[Any, ...]:
+        def evaluate(*part: Tensor) -> tuple[Tensor, ...]:
+            nonlocal several
+            outputs = self.evaluate(function, *part)
+            several = isinstance(outputs, tuple)
+            return outputs if several else (outputs,)
+
+        if torch.is_grad_enabled():
+            parameters = [p for p in module.parameters() if p.requires_grad]
+            apply: Any = _SlicedFunction.apply
+            outputs = apply(self, evaluate, slices, len(rows), *rows, *parameters)
+        else:
+            parts = self.map(evaluate, split_rows(rows, slices))
+            outputs = tuple(map(torch.cat, zip(*parts, strict=True)))
+        return outputs if several else outputs[0]
+
+    def evaluate(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Return `function(*arguments)`, all tensors in float32, on the calling thread."""
         with torch.autocast(self._device_type, torch.bfloat16, enabled=self.bfloat16):
             outputs = function(*arguments)
-        return tuple(_as_float32(output) for output in outputs)
+        return _as_float32(outputs)
 
     def gradients(
         self, function: LossFunction, rows: dict[str, Tensor], parameters: list[nn.Parameter]
@@ -242,7 +258,7 @@ class NetworkExecutor:
         and one thread computes that loss.
 
         Args:
-            function: see `LossFunction`; several threads call it at the same time.
+            function: several threads call it at the same time.
             rows: {name: (n, ...)}. Numbers of rows may differ between names; each slice has the
                 same share of all of them.
             parameters: that the loss is differentiated by.
@@ -255,36 +271,51 @@ class NetworkExecutor:
 
         def differentiate(part: dict[str, Tensor], share: float) -> tuple[Any, ...]:
             loss, values = function(part)
-            found = torch.autograd.grad(loss * share, parameters, allow_unused=True)
-            return found, {name: value.detach() for name, value in values.items()}
+            return torch.autograd.grad(loss * share, parameters, allow_unused=True), values
 
-        most = max(len(tensor) for tensor in rows.values())
+        most = max(map(len, rows.values()))
         parts, shares = split_proportionally(rows, self._num_slices(most))
-        results = self.map(differentiate, list(zip(parts, shares, strict=True)))
-        found, values = zip(*results, strict=True)
-        merged = {name: merge_results([v[name] for v in values], shares) for name in values[0]}
-        return [sum_gradients(column) for column in zip(*found, strict=True)], merged
+        found, values = zip(
+            *self.map(differentiate, list(zip(parts, shares, strict=True))), strict=True
+        )
+        merged = {}
+        for name in values[0]:
+            columns = [of_slice[name].detach() for of_slice in values]
+            if columns[0].ndim > 0:
+                merged[name] = torch.cat(columns)
+            else:
+                weighted = map(torch.mul, columns, shares)
+                merged[name] = torch.stack(list(weighted)).sum()
+        return list(map(sum_gradients, zip(*found, strict=True))), merged
 
     def map(self, function: Callable[..., Any], arguments: list[tuple[Any, ...]]) -> list[Any]:
         """Return [function(*a) for a in arguments], the calls spread over the threads."""
-        grad_enabled = torch.is_grad_enabled()
         if len(arguments) <= 1:
             return [function(*a) for a in arguments]
+        grad_enabled = torch.is_grad_enabled()
+        results: list[Any] = [None] * len(arguments)
         busy = min(self.num_threads, len(arguments))
 
-        def work(first: int) -> list[Any]:
+        def work(first: int) -> None:
             self._within.slice = True
             try:
                 with torch.set_grad_enabled(grad_enabled):  # each thread has a switch of its own
-                    return [function(*a) for a in arguments[first::busy]]
+                    for i in range(first, len(arguments), busy):
+                        results[i] = function(*arguments[i])
             finally:
                 self._within.slice = False
 
-        futures = [self._pool().submit(work, first) for first in range(1, busy)]
+        if self._others is None and busy > 1:
+            self._others = ThreadPoolExecutor(
+                self.num_threads - 1, "network", initializer=lambda: torch.set_num_threads(1)
+            )
+        others: Any = self._others
+        futures = [others.submit(work, first) for first in range(1, busy)]
         with one_torch_thread():
-            columns = [work(0)]
-        columns += [future.result() for future in futures]
-        return [columns[i % busy][i // busy] for i in range(len(arguments))]
+            work(0)
+        for future in futures:
+            future.result()
+        return results
 
     def _num_slices(self, num_rows: int) -> int:
         if not self._can_slice:
@@ -296,21 +327,11 @@ class NetworkExecutor:
             most = min(most, math.isqrt(num_rows * self._row_products // _PRODUCTS_OF_A_SLICE))
         return max(1, most)
 
-    def _pool(self) -> ThreadPoolExecutor:
-        """The threads beside the caller's own, made when first needed."""
-        if self._others is None:
-            self._others = ThreadPoolExecutor(
-                self.num_threads - 1,
-                thread_name_prefix="network",
-                initializer=lambda: torch.set_num_threads(1),
-            )
-        return self._others
-
 
 def _as_float32(output: Any) -> Any:
-    """Return an output of a network, or the tuple of its recurrent states, in float32."""
+    """Return an output of a network, or a tuple of outputs or recurrent states, in float32."""
     if isinstance(output, tuple):
-        return tuple(_as_float32(state) for state in output)
+        return tuple(map(_as_float32, output))
     return output.float() if isinstance(output, Tensor) else output
 
 
@@ -326,14 +347,11 @@ class _SlicedFunction(torch.autograd.Function):
         num_inputs: int,
         *tensors: Tensor,
     ) -> tuple[Tensor, ...]:
-        rows = tensors[:num_inputs]
-        needs_grad = ctx.needs_input_grad[4 : 4 + num_inputs]
-        inputs = [
-            tuple(
-                part.detach().requires_grad_(w) for part, w in zip(parts, needs_grad, strict=True)
-            )
-            for parts in split_rows(rows, slices)
-        ]
+        ctx.needs_grad = ctx.needs_input_grad[4 : 4 + num_inputs]
+        inputs = []
+        for parts in split_rows(tensors[:num_inputs], slices):
+            pairs = zip(parts, ctx.needs_grad, strict=True)
+            inputs.append(tuple(part.detach().requires_grad_(needs) for part, needs in pairs))
         with torch.enable_grad():
             outputs = executor.map(function, inputs)
         columns = list(zip(*outputs, strict=True))
@@ -341,7 +359,7 @@ class _SlicedFunction(torch.autograd.Function):
         # What depends on no parameter (the spread of a fixed sigma) must not seem to.
         constant = [r for r, c in zip(results, columns, strict=True) if not c[0].requires_grad]
         ctx.mark_non_differentiable(*constant)
-        ctx.executor, ctx.needs_grad, ctx.parameters = executor, needs_grad, tensors[num_inputs:]
+        ctx.executor, ctx.parameters = executor, tensors[num_inputs:]
         ctx.slices = list(zip(inputs, outputs, strict=True))
         return results
 
@@ -350,24 +368,18 @@ class _SlicedFunction(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
         def differentiate(
             inputs: tuple[Tensor, ...], outputs: tuple[Tensor, ...], grads: tuple[Tensor, ...]
-        ) -> list[Tensor | None]:
+        ) -> tuple[Tensor | None, ...]:
             sources = [x for x in inputs if x.requires_grad] + list(ctx.parameters)
             pairs = [(x, g) for x, g in zip(outputs, grads, strict=True) if x.requires_grad]
             targets, target_grads = zip(*pairs, strict=True)
-            found = torch.autograd.grad(targets, sources, target_grads, allow_unused=True)
-            return list(found)
+            return torch.autograd.grad(targets, sources, target_grads, allow_unused=True)
 
-        arguments = [
-            (*graph, part)
-            for graph, part in zip(ctx.slices, split_rows(grads, len(ctx.slices)), strict=True)
-        ]
-        found = ctx.executor.map(differentiate, arguments)
+        parts = split_rows(grads, len(ctx.slices))
+        arguments = [(*graph, part) for graph, part in zip(ctx.slices, parts, strict=True)]
+        columns = list(zip(*ctx.executor.map(differentiate, arguments), strict=True))
         ctx.slices = None  # frees the graphs
-        columns = list(zip(*found, strict=True))
-        num_row_grads = sum(ctx.needs_grad)
-        columns_of_rows = iter(columns[:num_row_grads])
-        row_grads = [torch.cat(next(columns_of_rows)) if w else None for w in ctx.needs_grad]
-        return (None, None, None, None, *row_grads, *map(sum_gradients, columns[num_row_grads:]))
+        row_grads = [torch.cat(columns.pop(0)) if needs else None for needs in ctx.needs_grad]
+        return (None, None, None, None, *row_grads, *map(sum_gradients, columns))
 
 
 # --- slices of rows --------------------------------------------------------------------------
@@ -380,7 +392,7 @@ def evaluate_in_chunks(function: Callable[..., Tensor], *rows: Tensor) -> Tensor
 
     Args:
         function: (n, F) of each -> (n, D); rows are independent of each other.
-        rows: of any number of leading dimensions, the same ones.
+        rows: their leading dimensions are the same, and any number of them.
     """
     with torch.no_grad():
         columns = [x.reshape(-1, x.shape[-1]).split(_CHUNK_ROWS) for x in rows]
@@ -407,21 +419,21 @@ def split_proportionally(
     Returns:
         The slices, consecutive rows, and their shares, which add up to 1.
     """
-    unit = math.gcd(*(len(tensor) for tensor in rows.values()))
+    unit = math.gcd(*map(len, rows.values()))
     slices = max(1, min(slices, unit))
-    ends = [unit * i // slices for i in range(slices + 1)]
-    parts = [
-        {name: t[len(t) // unit * first : len(t) // unit * end] for name, t in rows.items()}
-        for first, end in itertools.pairwise(ends)
-    ]
-    return parts, [(end - first) / unit for first, end in itertools.pairwise(ends)]
-
-
-def merge_results(values: list[Tensor], shares: list[float]) -> Tensor:
-    """Return all rows of the slices' rows, or the mean of their numbers weighted by the shares."""
-    if values[0].ndim > 0:
-        return torch.cat(values)
-    return torch.stack([v * share for v, share in zip(values, shares, strict=True)]).sum()
+    parts: list[dict[str, Tensor]] = []
+    shares: list[float] = []
+    first = 0
+    for i in range(slices):
+        end = unit * (i + 1) // slices
+        part = {}
+        for name, tensor in rows.items():
+            factor = len(tensor) // unit
+            part[name] = tensor[factor * first : factor * end]
+        parts.append(part)
+        shares.append((end - first) / unit)
+        first = end
+    return parts, shares
 
 
 def sum_gradients(grads: tuple[Tensor | None, ...]) -> Tensor | None:

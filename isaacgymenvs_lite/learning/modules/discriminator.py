@@ -7,7 +7,7 @@ optimiser and one checkpoint hold everything; `StyleNetwork` has them for other 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,6 @@ from isaacgymenvs_lite.env_interface import AMPObsEnv
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams
 from isaacgymenvs_lite.learning.cpu.parallel import evaluate_in_chunks
-from isaacgymenvs_lite.learning.losses import input_gradient
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 
 # The last layer starts in U(-1, 1), as IsaacGymEnvs and ASE.
@@ -31,34 +30,27 @@ _MIN_FAKE_PROBABILITY = 1e-4
 
 
 class DiscriminatorLayers:
-    """The layers of a discriminator, as a mixin of the module that holds them.
-
-    Parameter names are those of IsaacGymEnvs, `_disc_mlp` and `_disc_logits`, so that its
-    checkpoints load.
-    """
+    """Mixin: the layers of a discriminator, under the names of IsaacGymEnvs' checkpoints."""
 
     _disc_mlp: nn.Module
     _disc_logits: nn.Linear
 
     def _set_disc_layers(self, hidden: nn.Module, width: int) -> None:
-        """Set the hidden layers, which have `width` outputs, and make the last one."""
+        """Set the hidden layers, with `width` outputs, and make the last layer."""
         self._disc_mlp = hidden
         self._disc_logits = nn.Linear(width, 1)
         nn.init.uniform_(self._disc_logits.weight, -DISC_LOGIT_INIT_SCALE, DISC_LOGIT_INIT_SCALE)
         nn.init.zeros_(self._disc_logits.bias)
 
     def eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
-        """Return discriminator logits (n, 1) for normalised AMP observations (n, F).
+        """Return logits (n, 1) for normalised AMP observations (n, F).
 
-        Conditional discriminators override this; here there are no latents.
+        Only conditional discriminators, which override this, take latents.
         """
         return self._disc_logits(self._disc_mlp(amp_obs))
 
     def eval_disc_with_gradient(self, amp_obs: Tensor, *latents: Tensor) -> tuple[Tensor, Tensor]:
-        """Return logits (n, 1) and their gradients by the normalised AMP observations (n, F).
-
-        The gradients can be differentiated by the parameters. Arguments as `eval_disc`.
-        """
+        """Return `eval_disc` and its gradients (n, F), differentiable by the parameters."""
         with torch.enable_grad():
             # Rows that require gradients keep them: a caller may differentiate by them.
             amp_obs = amp_obs if amp_obs.requires_grad else amp_obs.detach().requires_grad_()
@@ -81,6 +73,15 @@ class DiscriminatorLayers:
         return [layer.weight.flatten() for layer in layers] + [self.get_disc_logit_weights()]
 
 
+def input_gradient(outputs: Tensor, inputs: Tensor) -> Tensor:
+    """Return (K, F) the gradients of outputs (K, 1) by inputs (K, F), differentiable themselves.
+
+    For gradient penalties; each output depends on the input of its own row only.
+    """
+    (gradient,) = torch.autograd.grad(outputs, inputs, torch.ones_like(outputs), create_graph=True)
+    return gradient
+
+
 class StyleNetwork(DiscriminatorLayers, nn.Module):
     """A discriminator in a network of its own, with ReLUs.
 
@@ -101,19 +102,16 @@ class StyleNetwork(DiscriminatorLayers, nn.Module):
 
 
 def eval_discriminator(
-    network: Any,
-    agent: Sequence[Tensor],
-    replay: Sequence[Tensor],
-    demo: Sequence[Tensor],
+    network: Any, agent: Sequence[Tensor], replay: Sequence[Tensor], demo: Sequence[Tensor]
 ) -> dict[str, Tensor]:
     """Return what the discriminator's loss is computed from.
 
     Args:
         network: with `DiscriminatorLayers`.
-        agent: the arguments of `eval_disc` for the policy's newest AMP observations: normalised
+        agent: arguments of `eval_disc` for the newest AMP observations of the policy: normalised
             rows (K, F) and, for a conditional discriminator, latents (K, Z).
         replay: the same for replayed observations of the policy.
-        demo: the same for reference observations.
+        demo: the same for observations of the clips.
 
     Returns:
         `disc_agent_logit`, `disc_agent_replay_logit`, `disc_demo_logit` (K, 1), and
@@ -138,8 +136,8 @@ class AMPObsShape:
     """The shape of a task's AMP observations.
 
     Attributes:
-        size: F, numbers.
-        num_steps: control steps in them, the newest first.
+        size: F.
+        num_steps: control steps in an observation, the newest first.
     """
 
     size: int
@@ -147,12 +145,12 @@ class AMPObsShape:
 
     @classmethod
     def from_task(cls, env: AMPObsEnv) -> AMPObsShape:
-        """Return the shape in a task; without `num_amp_obs_steps` one step is assumed."""
+        """Return a task's shape; without `num_amp_obs_steps` one step is assumed."""
         return cls(env.amp_observation_space.shape[0], getattr(env, "num_amp_obs_steps", 1))
 
 
 def disc_obs_size(shape: AMPObsShape, params: AMPParams) -> int:
-    """Return how many numbers of an AMP observation, the first, discriminator and encoder see.
+    """Return how many leading entries of an AMP observation discriminator and encoder see.
 
     Raises:
         ConfigError: `amp_obs_steps` is more than the control steps in an observation.
@@ -172,8 +170,8 @@ class StyleDiscriminator:
     """Rewards AMP observations that look like the reference motions.
 
     Args:
-        network: has the methods of `DiscriminatorLayers`.
-        amp_obs_size: numbers that it sees of an AMP observation, the first; see `disc_obs_size`.
+        network: with `DiscriminatorLayers`.
+        amp_obs_size: leading entries of an AMP observation that it sees; see `disc_obs_size`.
         params: weights, kinds of loss and reward.
         disc_reward: `least_squares` or `logistic`, for `params.disc_reward` None.
         device: of the normaliser's statistics.
@@ -205,7 +203,7 @@ class StyleDiscriminator:
 
     @property
     def checkpoint_modules(self) -> dict[str, nn.Module]:
-        """Modules that a checkpoint holds beside the model, by their keys there."""
+        """Modules that a checkpoint holds in addition to the model, by their keys."""
         return {} if self.normalizer is None else {"amp_input_mean_std": self.normalizer}
 
     def truncate(self, amp_obs: Tensor) -> Tensor:
@@ -220,17 +218,19 @@ class StyleDiscriminator:
         with torch.no_grad():
             return self.normalizer(amp_obs)
 
-    def logits(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
+    def logits(
+        self, amp_obs: Tensor, *latents: Tensor, normalize: Callable[[Tensor], Tensor] | None = None
+    ) -> Tensor:
         """Return logits (..., 1) of raw AMP observations (..., F), without gradients.
 
         Args:
             amp_obs: raw.
-            latents: (..., Z) for a conditional discriminator, none for another.
+            latents: (..., Z), for a conditional discriminator only.
+            normalize: replaces `self.normalize`.
         """
+        inputs = normalize or self.normalize
         return evaluate_in_chunks(
-            lambda rows, *given: self.network.eval_disc(self.normalize(rows), *given),
-            amp_obs,
-            *latents,
+            lambda rows, *given: self.network.eval_disc(inputs(rows), *given), amp_obs, *latents
         )
 
     def reward(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
@@ -261,7 +261,7 @@ class StyleRewards:
         return {"disc_rewards": self._calc_disc_rewards(amp_obs)}
 
     def _reward_latents(self) -> tuple[Tensor, ...]:
-        """Return what the rewards depend on beside AMP observations."""
+        """Return what the rewards depend on in addition to AMP observations."""
         return ()
 
     def _calc_disc_rewards(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
@@ -270,19 +270,12 @@ class StyleRewards:
 
     def _eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
         """Return logits (..., 1) of raw AMP observations (..., F), without gradients."""
-        return evaluate_in_chunks(
-            lambda rows, *given: self.discriminator.network.eval_disc(
-                self._preproc_amp_obs(rows), *given
-            ),
-            amp_obs,
-            *latents,
-        )
+        return self.discriminator.logits(amp_obs, *latents, normalize=self._preproc_amp_obs)
 
     def _preproc_amp_obs(self, amp_obs: Tensor) -> Tensor:
-        """Return the inputs of discriminator and encoder: raw AMP observations (n, F), normalised.
+        """Return normalised inputs of discriminator and encoder for AMP observations (n, F).
 
-        Several threads call it at the same time: it must not change the object. An agent updates
-        the statistics elsewhere (`_normalizer_inputs`).
+        Several threads call it at the same time: it must not change the object.
         """
         return self.discriminator.normalize(amp_obs)
 
@@ -306,9 +299,8 @@ class StyleLosses(StyleRewards):
 
         Args:
             disc_agent_logit: (2K, 1) of the policy's and of replayed observations.
-            disc_demo_logit: (K, 1) of reference observations.
-            obs_demo: (K, F) the inputs of `disc_demo_logit`; they require gradients if
-                `disc_demo_gradient` is None.
+            disc_demo_logit: (K, 1) of observations of the clips.
+            obs_demo: (K, F) the inputs of `disc_demo_logit`.
             disc_demo_gradient: (K, F) gradients of the logits by `obs_demo`, differentiable; None:
                 computed here, as for the published three arguments.
 

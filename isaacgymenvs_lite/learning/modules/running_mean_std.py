@@ -1,13 +1,15 @@
-"""rl_games' running mean and standard deviation, with moments that a CPU takes quickly."""
+"""rl_games' running mean and standard deviation, quicker on a CPU; normalised advantages."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import torch
 from rl_games.algos_torch import running_mean_std
 from torch import Tensor, nn
 
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.distributed.moments import joined_moments
+from isaacgymenvs_lite.distributed.moments import joined_moments, normalize_jointly
 
 
 class RunningMeanStd(running_mean_std.RunningMeanStd):
@@ -35,13 +37,14 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
         return (input - self.running_mean.float()).div_(scale).clamp_(-5.0, 5.0)
 
     @torch.no_grad()
-    def count_in(self, rows: Tensor) -> None:
-        """Take rows (n, ...) into the statistics, whatever the mode."""
+    def count_in(self, *kinds: Tensor) -> None:
+        """Take rows (n, ...) of one kind after another into the statistics, whatever the mode."""
         if current_group().size > 1:
-            count_in_jointly([(self, [rows])])
+            count_in_jointly([(self, *kinds)])
             return
-        mean = rows.mean(0)
-        self._count_in_moments(mean, (rows - mean).square_().mean(0), len(rows))
+        for rows in kinds:
+            mean = rows.mean(0)
+            self._count_in_moments(mean, (rows - mean).square_().mean(0), len(rows))
 
     def _count_in_moments(self, mean: Tensor, var: Tensor, num_rows: int) -> None:
         statistics = (self.running_mean, self.running_var, self.count)
@@ -53,15 +56,15 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
 
 
 @torch.no_grad()
-def count_in_jointly(inputs: list[tuple[RunningMeanStd, list[Tensor]]]) -> None:
+def count_in_jointly(inputs: list[tuple[Any, ...]]) -> None:
     """Take the rows of all processes into several statistics, by one message.
 
     Args:
-        inputs: statistics, and rows (n, ...) of this process to take in, one after another.
+        inputs: statistics, each followed by rows (n, ...) of this process in order.
     """
-    kinds = [(each.running_mean, rows) for each, several in inputs for rows in several]
+    kinds = [(each.running_mean, rows) for each, *several in inputs for rows in several]
     moments = iter(joined_moments(kinds))
-    for each, several in inputs:
+    for each, *several in inputs:
         for _ in several:
             found = next(moments)
             each._count_in_moments(found.mean, found.var, found.count)
@@ -80,3 +83,32 @@ def replace_normalizers(model: nn.Module) -> None:
         normalizer = RunningMeanStd(size).to(former.running_mean.device)
         normalizer.load_state_dict(former.state_dict())
         setattr(model, name, normalizer.train(former.training))
+
+
+def normalize_advantages(advantages: Tensor, mask: Tensor | None = None) -> Tensor:
+    """Return advantages (n,) normalised by mean and standard deviation of the rows that count.
+
+    Of several processes that train together the rows of all count.
+
+    Args:
+        advantages: of this process.
+        mask: (n,) 1 where a row counts; None: all do.
+    """
+    if current_group().size > 1:
+        return normalize_jointly(advantages, torch.ones_like(advantages) if mask is None else mask)
+    if mask is not None:
+        return normalize_masked(advantages, mask)
+    return (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+
+
+def normalize_masked(values: Tensor, mask: Tensor) -> Tensor:
+    """Return values (n,) normalised by mean and standard deviation of the rows of mask (n,) 1.
+
+    The variance is unbiased; with fewer than two such rows the values are returned unchanged.
+    """
+    count = mask.sum()
+    if count < 2:
+        return values
+    mean = (mask * values).sum() / count
+    variance = ((mask * values).square().sum() / count - mean.square()) * count / (count - 1)
+    return (values - mean) / (variance.clamp(min=0.0).sqrt() + 1e-8)

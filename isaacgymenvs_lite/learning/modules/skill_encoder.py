@@ -37,12 +37,7 @@ class SkillEncoder:
         self._params = params
 
     def reward(self, amp_obs: Tensor, latents: Tensor) -> Tensor:
-        """Return max(q(x) . z, 0) * enc_reward_scale, (..., 1).
-
-        Args:
-            amp_obs: x, (..., F), raw.
-            latents: z, (..., Z), those that the policy acted under.
-        """
+        """Return max(q(x) . z, 0) * enc_reward_scale, (..., 1), for raw x (..., F), z (..., Z)."""
         return self.reward_from_latents(self.read(amp_obs), latents)
 
     def reward_from_latents(self, found: Tensor, latents: Tensor) -> Tensor:
@@ -59,17 +54,14 @@ class SkillEncoder:
     def loss(
         self, found: Tensor, latents: Tensor, gradient: Tensor | None = None
     ) -> dict[str, Tensor]:
-        """Return the encoder's loss and values to log.
+        """Return `enc_loss` and, with a gradient, `enc_grad_penalty`, which is unweighted.
 
-        mean of -q . z, weight decay and, with `gradient`, the gradient penalty.
+        `enc_loss` is the mean of -q . z, and the weighted weight decay and gradient penalty.
 
         Args:
             found: q, (K, Z) of the policy's AMP observations.
             latents: z, (K, Z).
             gradient: (K, F) of -q . z by the normalised AMP observations, differentiable.
-
-        Returns:
-            `enc_loss`, the weighted sum, and `enc_grad_penalty`, unweighted, if there is one.
         """
         loss = -(found.float() * latents).sum(dim=-1).mean()
         if self._params.enc_weight_decay != 0.0:
@@ -85,7 +77,7 @@ class SkillEncoder:
 class SkillRewards:
     """The published reward methods of GenAMP agents and players, as a mixin of both.
 
-    It comes before AMP's class, whose rewards it extends.
+    It precedes AMP's class, whose rewards it extends.
     """
 
     model: Any
@@ -119,11 +111,9 @@ class SkillRewards:
     def _calc_amp_rewards(
         self, amp_obs: Tensor, ase_latents: Tensor | None = None
     ) -> dict[str, Tensor]:
-        """Return {"disc_rewards", "enc_rewards"}, (..., 1) each.
+        """Return {"disc_rewards", "enc_rewards"}, (..., 1) each, of raw AMP observations (..., F).
 
-        Args:
-            amp_obs: (..., F), raw.
-            ase_latents: (..., Z), which the policy acted under; None: those of `_reward_latents`.
+        `ase_latents` (..., Z) are those that the policy acted under; None: `_reward_latents`.
         """
         latents = self._reward_latents()[0] if ase_latents is None else ase_latents
         of_disc = (latents,) if self._disc_is_conditional else ()

@@ -37,14 +37,14 @@ class LatentSchedule(Stateful):
 
     Args:
         num_envs: N.
-        latent_dim: numbers in a latent.
+        latent_dim: Z.
         steps_min: least number of steps that a latent is kept, at least 1.
         steps_max: above the largest number.
         device: of the latents.
-        draw: n -> latents (n, latent_dim), unit vectors; None: random ones.
+        draw: n -> latents (n, Z), unit vectors; None: random ones.
 
     Attributes:
-        latents: (N, latent_dim), the current ones; replaced, never written into.
+        latents: (N, Z), the current ones; replaced, never written into.
         change_at: (N,) control steps of the episodes after which the next ones follow.
 
     Raises:
@@ -85,11 +85,7 @@ class LatentSchedule(Stateful):
         return self.change_at <= progress
 
     def advance(self, progress: Tensor) -> Tensor:
-        """Replace the latents that end after `progress` (N,) control steps of the episodes.
-
-        Returns:
-            (n,) the environments whose latents were replaced.
-        """
+        """Replace latents that end after `progress` (N,) steps; return the environments (n,)."""
         env_ids = self.is_over(progress).nonzero().flatten()
         if len(env_ids) > 0:
             self._renew(env_ids, self._draw(len(env_ids)))
@@ -140,8 +136,7 @@ class ClipLatents:
     def for_starts(self, amp_obs: Tensor) -> tuple[Tensor, Tensor]:
         """Return latents (n, Z) for episodes that start with AMP observations (n, F).
 
-        Returns:
-            The latents, and the rows (k,) whose latents were read from their starts.
+        The rows (k,) whose latents were read from their starts come second.
         """
         latents, chosen = self.random(len(amp_obs), amp_obs.device)
         if len(chosen) > 0:
@@ -207,12 +202,9 @@ class EvaluationLatents:
 
 
 def interpolate_on_sphere(start: Tensor, end: Tensor, share: Tensor) -> Tensor:
-    """Return unit vectors (n, Z) on the great circles from `start` to `end` (n, Z).
+    """Return unit vectors (n, Z) on the great circles between unit vectors that are not opposite.
 
-    Args:
-        start: unit vectors.
-        end: unit vectors, not opposite to them.
-        share: (n,) of the angle, 0 gives `start`, 1 `end`.
+    `share` (n,) of the angle: 0 gives `start` (n, Z), 1 `end`.
     """
     cosine = (start * end).sum(dim=-1, keepdim=True).clamp(-1.0, 1.0)
     angle, share = cosine.acos(), share.unsqueeze(-1)

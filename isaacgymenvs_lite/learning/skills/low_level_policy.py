@@ -47,10 +47,8 @@ class LowLevelSizes:
     """Sizes that a low-level controller has in a task.
 
     Attributes:
-        num_obs: numbers in an observation, the task's features included.
+        num_obs: entries of an observation, the task's features included.
         num_task_obs: how many of these, the last ones, describe the task.
-        amp_obs: shape of an AMP observation.
-        action_space: of the task.
     """
 
     num_obs: int
@@ -73,18 +71,18 @@ class LowLevelPolicy:
     """A trained GenAMP policy that never changes: evaluation mode, no gradients.
 
     Args:
-        llc_config: the train file that it was trained with; see `read_train_file`. The networks and
+        llc_config: the train file that it was trained with; see `read_train_file`. Networks and
             latents that a packed policy describes itself replace the file's.
         llc_checkpoint: its checkpoint, or the name of a shipped policy.
         sizes: of the task.
         device: of networks and results.
-        precision: replaces `mixed_precision: auto` of the train file. The high level's value makes
-            a run compute alike whenever it is resumed or played.
+        precision: replaces `mixed_precision: auto` of the train file, so that a run computes alike
+            whenever it is resumed or played.
 
     Attributes:
-        latent_dim: numbers in a latent.
+        latent_dim: Z.
         params: the GenAMP keys of the train file.
-        discriminator: its style reward.
+        discriminator: gives its style reward.
         encoder: reads latents in motion.
         reference: identifies it in a checkpoint of the high level; see `llc_reference`.
 
@@ -108,14 +106,27 @@ class LowLevelPolicy:
         self.params = read_agent_params(train_params["config"], GenAMPParams)
         self.latent_dim = self.params.latent_dim
         self._sizes = sizes
-        self._disc_obs_size = disc_obs_size(sizes.amp_obs, self.params)
+        amp_obs_size = disc_obs_size(sizes.amp_obs, self.params)
         self._device = torch.device(device)
-        self.model = self._build_model(builder, train_params["config"])
+        self.model = builder.build(
+            {
+                "actions_num": sizes.action_space.shape[0],
+                "input_shape": (self.num_character_obs,),
+                "num_seqs": 1,
+                "value_size": 1,
+                "normalize_value": train_params["config"].get("normalize_value", False),
+                "normalize_input": train_params["config"]["normalize_input"],
+                "amp_input_shape": (amp_obs_size,),
+                "amp_latent_shape": (self.latent_dim,),
+            }
+        )
+        replace_normalizers(self.model)
+        self.model.to(self._device).eval().requires_grad_(False)
         trained_in = train_params["config"].get("mixed_precision", False)
         parallelize(self.model, self._device, precision if trained_in == "auto" else trained_in)
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
-            self._disc_obs_size,
+            amp_obs_size,
             self.params,
             GenAMPAgent.default_disc_reward,
             self._device,
@@ -128,35 +139,8 @@ class LowLevelPolicy:
         self._low = torch.from_numpy(sizes.action_space.low.copy()).to(self._device)
         self._high = torch.from_numpy(sizes.action_space.high.copy()).to(self._device)
 
-    def _build_model(self, builder: Any, config: dict[str, Any]) -> Any:
-        model = builder.build(
-            {
-                "actions_num": self._sizes.action_space.shape[0],
-                "input_shape": (self.num_character_obs,),
-                "num_seqs": 1,
-                "value_size": 1,
-                "normalize_value": config.get("normalize_value", False),
-                "normalize_input": config["normalize_input"],
-                "amp_input_shape": (self._disc_obs_size,),
-                "amp_latent_shape": (self.latent_dim,),
-            }
-        )
-        replace_normalizers(model)
-        return model.to(self._device).eval().requires_grad_(False)
-
     def _load(self, state: dict[str, Any], checkpoint: str, llc_config: str) -> None:
-        self._check_sizes(state["model"], checkpoint, llc_config)
-        modules: dict[str, Any] = {"model": self.model, **self.discriminator.checkpoint_modules}
-        fitting = Fitting(
-            f"llc_checkpoint={checkpoint}",
-            f"does not fit llc_config={llc_config}, expected the train file it was trained with",
-        )
-        fitted = fitting.parts(state, Parts(modules))
-        for key, module in modules.items():
-            module.load_state_dict(fitted[key])
-
-    def _check_sizes(self, weights: dict[str, Tensor], checkpoint: str, llc_config: str) -> None:
-        """Check the sizes that differ between tasks, with a message for each."""
+        """Load a checkpoint, with a message for each size that differs between tasks."""
         own = self.model.state_dict()
         for key, what, source in (
             ("a2c_network.critic_mlp._mlp.0.weight", "observation and latent", "the task has"),
@@ -164,27 +148,32 @@ class LowLevelPolicy:
             ("a2c_network._disc_mlp.0.weight", "AMP observation", "the task has"),
             ("a2c_network._enc.bias", "latent", f"{llc_config} says"),
         ):
-            if key not in weights:
+            if key not in state["model"]:
                 raise CheckpointError(
                     f"llc_checkpoint={checkpoint}: no low-level controller (it has no {key});"
                     " expected a checkpoint of algo: name: gen_amp"
                 )
-            there, here = (int((0, *tensors[key].shape)[-1]) for tensors in (weights, own))
+            there, here = (int((0, *each[key].shape)[-1]) for each in (state["model"], own))
             if there != here:
                 raise CheckpointError(
                     f"llc_checkpoint={checkpoint}: was trained with {there} numbers of {what},"
                     f" {source} {here}: another humanoid or another observation; train a"
                     " low-level controller for this task, or choose the task that it was trained on"
                 )
+        modules: dict[str, Any] = {"model": self.model, **self.discriminator.checkpoint_modules}
+        hint = f"does not fit llc_config={llc_config}, expected the train file it was trained with"
+        fitted = Fitting(f"llc_checkpoint={checkpoint}", hint).parts(state, Parts(modules))
+        for key, module in modules.items():
+            module.load_state_dict(fitted[key])
 
     @property
     def num_character_obs(self) -> int:
-        """Numbers in an observation without the task's features."""
+        """Entries of an observation without the task's features."""
         return self._sizes.num_obs - self._sizes.num_task_obs
 
     @property
     def num_task_obs(self) -> int:
-        """Numbers in an observation that describe the task, the last ones."""
+        """Entries of an observation that describe the task, the last ones."""
         return self._sizes.num_task_obs
 
     def extract_obs(self, obs: Tensor) -> Tensor:
@@ -232,8 +221,8 @@ class LowLevelPolicy:
 
         Args:
             amp_obs: raw.
-            latents: (n, Z), unit vectors, for a conditional discriminator: the skills to compare
-                the motion with; None: those that the encoder reads in it.
+            latents: (n, Z), the skills that a conditional discriminator looks for; None: those
+                that the encoder reads in the motion.
         """
         if not self.model.a2c_network.disc_is_conditional:
             return self.discriminator.reward(amp_obs)
@@ -290,21 +279,17 @@ def _train_params(llc_config: str, state: dict[str, Any]) -> dict[str, Any]:
     A packed policy describes itself. The networks of a train file may depend on the device of its
     training: the variant with the layers of the checkpoint is returned.
     """
-    variants = [
-        with_packed_settings(read_train_file(llc_config, rl_device=device)["params"], state)
-        for device in _RL_DEVICES
-    ]
+    variants = []
+    for device in _RL_DEVICES:
+        file = read_train_file(llc_config, rl_device=device)["params"]
+        variants.append(with_packed_settings(file, state))
+        scale_units(variants[-1].get("network") or {})
+    first = state["model"].get("a2c_network.critic_mlp._mlp.0.weight")
     for params in variants:
-        scale_units(params.get("network") or {})
-    return next((params for params in variants if _fits(params, state["model"])), variants[0])
-
-
-def _fits(params: dict[str, Any], weights: dict[str, Tensor]) -> bool:
-    units = ((params.get("network") or {}).get("mlp") or {}).get("units")
-    first = weights.get("a2c_network.critic_mlp._mlp.0.weight")
-    if first is None or first.ndim != 2 or not units:
-        return False
-    return units[0] == first.shape[0]
+        units = ((params.get("network") or {}).get("mlp") or {}).get("units")
+        if units and first is not None and first.ndim == 2 and units[0] == first.shape[0]:
+            return params
+    return variants[0]
 
 
 def latents_of_actions(actions: Tensor) -> Tensor:

@@ -436,7 +436,13 @@ class HumanoidAMP(HumanoidAMPBase):
         elif mode == "Hybrid":
             from_clip = torch.rand(len(env_ids), device=self.device) < self.env_cfg.hybrid_init_prob
             reference_ids, default_ids = env_ids[from_clip], env_ids[~from_clip]
-        self._reset_to_reference(reference_ids)
+        self._reference_env_ids = reference_ids
+        if len(reference_ids) > 0:
+            starts = self._starts.next(reference_ids)
+            root_states, dof_pos, dof_vel, self._reference_history, self._roots_ahead = starts
+            if self.motion_lib.num_motions() == 1:  # between clips a policy may change
+                self.keep_to_clips(reference_ids)
+            self.simulation.write_state(reference_ids, root_states, dof_pos, dof_vel)
         if len(default_ids) > 0:
             self._write_default_pose(default_ids)
         self.goal.reset(env_ids)
@@ -456,17 +462,6 @@ class HumanoidAMP(HumanoidAMPBase):
         """As the base; starts that were drawn before are dropped, for the seed's sake."""
         self._starts.clear()
         return super().reset()
-
-    def _reset_to_reference(self, env_ids: Tensor) -> None:
-        """Put environments into states of sampled clips, and keep the steps before it."""
-        self._reference_env_ids = env_ids
-        if len(env_ids) == 0:
-            return
-        starts = self._starts.next(env_ids)
-        root_states, dof_pos, dof_vel, self._reference_history, self._roots_ahead = starts
-        if self.motion_lib.num_motions() == 1:  # between clips a policy may change
-            self.keep_to_clips(env_ids)
-        self.simulation.write_state(env_ids, root_states, dof_pos, dof_vel)
 
     def reset_idx(self, env_ids: Tensor) -> None:
         """As the base, and fill the AMP history with the steps before the start."""

@@ -35,6 +35,13 @@ from isaacgymenvs_lite.tasks.base.task_config import AssetConfig
 from isaacgymenvs_lite.tasks.goals.velocity import Velocity
 from isaacgymenvs_lite.utils.rotations import xyzw_from_wxyz
 
+log = logging.getLogger(__name__)
+
+_ROOT = 7  # numbers of the free joint in qpos: position, quaternion wxyz
+# The mean speed of a clip that goes nowhere is below.
+_STANDING_M_S = 0.05
+# Of the trunk's height: below it is a robot on its knees, not one that crouches.
+_TERMINATION_SHARE = 0.45
 _MAX_FRAMES = 100
 _MAX_DELAY = 100  # control steps
 
@@ -59,9 +66,21 @@ class ObservationNoise:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealismSettings:
-    """What a policy observes, and what disturbs it; all disturbances are off by default."""
+class RobotAMPConfig(HumanoidAMPConfig, RobotSettings):
+    """`task.env` of RobotAMP: HumanoidAMP's keys and a robot's; null means found in the model."""
 
+    motion_file: str = setting("g1_walk.npz")
+    """A clip of this robot: a path, or a name in assets/amp/motions."""
+    contact_bodies: tuple[str, ...] = setting((), key="contactBodies")
+    """Bodies that may touch the floor, names or patterns; (): what touches it in the start pose."""
+    termination_height: float | None = setting(None, key="terminationHeight", above=0)
+    """A touched robot with a body below this height (m) fell; null: a share of the start height."""
+    action_scale: float | None = setting(None, key="actionScale", above=0, maximum=100)
+    """Targets of the drives are the start pose + actionScale * action, in rad; null: found from
+    their gains and efforts."""
+    enforce_effort_limits: bool = setting(True, key="enforceEffortLimits")
+    """Limit the drives' torques to the robot's efforts."""
+    asset: AssetConfig = field(default_factory=lambda: AssetConfig("mjcf/g1.xml"))
     observations: str = setting("full", choices=("full", "deployable"))
     """What the policy observes: all of the simulated state, or what a robot measures."""
     history_steps: int = setting(1, key="historySteps", minimum=1, maximum=_MAX_FRAMES)
@@ -87,12 +106,8 @@ class RealismSettings:
         return self.observations == "deployable"
 
 
-def check_realism(settings: RealismSettings, env: dict[str, Any]) -> None:
-    """Check the keys that depend on each other.
-
-    Args:
-        settings: `task.env`, read.
-        env: `task.env`.
+def check_realism(settings: RobotAMPConfig, env: dict[str, Any]) -> None:
+    """Check keys of `task.env` that depend on each other.
 
     Raises:
         ConfigError: an empty range, an unknown part, or a key that has no effect.
@@ -125,35 +140,6 @@ def check_realism(settings: RealismSettings, env: dict[str, Any]) -> None:
             " task.env.observations=deployable (noise on the full observation:"
             " task.task.randomization_params.observations)"
         )
-
-
-log = logging.getLogger(__name__)
-
-_ROOT = 7  # numbers of the free joint in qpos: position, quaternion wxyz
-
-
-@dataclass(frozen=True, kw_only=True)
-class RobotAMPConfig(HumanoidAMPConfig, RobotSettings, RealismSettings):
-    """`task.env` of RobotAMP: HumanoidAMP's keys and a robot's; null means found in the model."""
-
-    motion_file: str = setting("g1_walk.npz")
-    """A clip of this robot: a path, or a name in assets/amp/motions."""
-    contact_bodies: tuple[str, ...] = setting((), key="contactBodies")
-    """Bodies that may touch the floor, names or patterns; (): what touches it in the start pose."""
-    termination_height: float | None = setting(None, key="terminationHeight", above=0)
-    """A touched robot with a body below this height (m) fell; null: a share of the start height."""
-    action_scale: float | None = setting(None, key="actionScale", above=0, maximum=100)
-    """Targets of the drives are the start pose + actionScale * action, in rad; null: found from
-    their gains and efforts."""
-    enforce_effort_limits: bool = setting(True, key="enforceEffortLimits")
-    """Limit the drives' torques to the robot's efforts."""
-    asset: AssetConfig = field(default_factory=lambda: AssetConfig("mjcf/g1.xml"))
-
-
-# The mean speed of a clip that goes nowhere is below.
-_STANDING_M_S = 0.05
-# Of the trunk's height: below it is a robot on its knees, not one that crouches.
-_TERMINATION_SHARE = 0.45
 
 
 class RobotAMP(HumanoidAMP):

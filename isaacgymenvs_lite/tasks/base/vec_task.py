@@ -21,7 +21,9 @@ backend and change with its `step` and `write_state`. The buffers of the class d
 the task: they are on `device`, `allocate_buffers` makes them, and each step writes into them in
 place (`actions` and `reward_terms` are replaced). Others may write 1 into `reset_buf` between two
 steps. What `step` and `reset_done` return is on `rl_device` and belongs to the caller, but `infos`
-is the same dictionary in every step, with other tensors in it.
+is the same dictionary in every step, with other tensors in it. `_start_episodes` alone turns marks
+into indices. A step of this class reads four values on the host: whether all actions are finite,
+whether a row has no outcome, whether an end has no reason, and which episodes start.
 
 What differs from IsaacGymEnvs:
 

@@ -29,6 +29,16 @@ Size = tuple[int, int]
 _OBSTACLE_GRID = 4
 # Between the stones of `stepping_stones`.
 _HOLE_DEPTH_M = 10.0
+_PLATFORM_M = 3.0
+_STEP_WIDTH_M = 0.31
+_OBSTACLE_SIDES_M = (1.0, 2.0)
+_NUM_OBSTACLES = 40
+_NOISE_M = 0.1
+_NOISE_SPACING_M = 0.2
+# Robots start within this square around the middle of a tile, above its highest sample.
+_START_AREA_M = 2.0
+# Below the lowest sample, so that a fast body does not go through.
+_GROUND_M = 1.0
 
 
 def samples_of(length_m: float) -> int:
@@ -170,18 +180,6 @@ def middle(size: Size, side_m: float) -> tuple[slice, slice]:
     half = samples_of(side_m) // 2
     x, y = size[0] // 2, size[1] // 2
     return slice(x - half, x + half), slice(y - half, y + half)
-
-
-_PLATFORM_M = 3.0
-_STEP_WIDTH_M = 0.31
-_OBSTACLE_SIDES_M = (1.0, 2.0)
-_NUM_OBSTACLES = 40
-_NOISE_M = 0.1
-_NOISE_SPACING_M = 0.2
-# Robots start within this square around the middle of a tile, above its highest sample.
-_START_AREA_M = 2.0
-# Below the lowest sample, so that a fast body does not go through.
-_GROUND_M = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,7 +28,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.schema import keys_of, read_keys, setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.workflows import library
@@ -46,7 +46,7 @@ class Sb3Settings(library.AgentSettings):
     """An agent file."""
 
     minibatches: int | None = setting(None, minimum=1)
-    """Of an epoch."""
+    """Minibatches of an epoch."""
     batch_size: int | None = setting(None, minimum=2)
     """Rows of a minibatch, in place of `minibatches`."""
     ppo: dict[str, Any] = setting()
@@ -65,20 +65,20 @@ class FlatSettings:
     n_timesteps: float = setting(1.0, minimum=1, maximum=1e15)
     """Frames of all environments."""
     max_iterations: int | None = setting(None, minimum=1)
-    """In place of `n_timesteps`."""
+    """Replaces `n_timesteps`."""
     normalize_input: bool = setting(False)
     normalize_value: bool = setting(False)
     clip_obs: float = setting(100.0)
     policy_kwargs: Any = setting(None)
     device: Any = setting(None)
-    """Not read: rl_device= says where the networks are."""
+    """Has no effect: rl_device= says where the networks are."""
 
 
 class Agent(library.Agent):
     """PPO, with `VecNormalize` around the environment if the agent file has `vec_normalize`.
 
     Checkpoints are `checkpoints/model_<steps>.zip` and at the end `model.zip`, for `PPO.load`, each
-    with a `.npz` beside it that holds the normalisers' statistics.
+    with the normalisers' statistics in a `.npz` of the same name.
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
@@ -149,13 +149,7 @@ class Agent(library.Agent):
             found = load_from_zip_file(checkpoint, load_data=False, device=self.model.device)
             self.model.set_parameters(found[1], exact_match=True)
         if self.normalizer is not None:
-            statistics = checkpoint.with_suffix(".npz")
-            if not statistics.is_file():
-                raise CheckpointError(
-                    f"checkpoint={checkpoint}: the agent file has vec_normalize, and there are no"
-                    f" statistics beside it: {statistics.name} is missing"
-                )
-            load_statistics(self.normalizer, statistics)
+            load_statistics(self.normalizer, checkpoint.with_suffix(".npz"))
 
     def policy(self) -> Callable[[Any], Any]:
         """See `library.Agent`."""

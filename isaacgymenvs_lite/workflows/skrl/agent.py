@@ -28,7 +28,7 @@ class NetworkSettings:
     """The section `network`: of policy and critic, which share no layers."""
 
     units: tuple[int, ...] = setting(minimum=1)
-    """Of the hidden layers."""
+    """Units of the hidden layers."""
     activation: str = setting("elu")
     initial_log_std: float = setting(0.0)
 

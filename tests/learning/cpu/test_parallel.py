@@ -16,13 +16,12 @@ from isaacgymenvs_lite.learning.cpu.parallel import (
     NetworkExecutor,
     ParallelNetwork,
     evaluate_in_chunks,
-    merge_results,
     parallelize,
     serial_network,
     split_proportionally,
     sum_gradients,
 )
-from isaacgymenvs_lite.learning.losses import input_gradient
+from isaacgymenvs_lite.learning.modules.discriminator import input_gradient
 
 ROWS = 512
 
@@ -365,15 +364,6 @@ def test_every_slice_has_the_same_share_of_all_tensors(lengths, asked, expected)
     assert sum(shares) == pytest.approx(1.0)
     for name, tensor in rows.items():
         assert torch.equal(torch.cat([part[name] for part in parts]), tensor)
-
-
-def test_numbers_are_averaged_by_their_shares_and_rows_put_together():
-    assert merge_results([torch.tensor(2.0), torch.tensor(6.0)], [0.25, 0.75]).item() == 5.0
-    assert merge_results([torch.tensor([1.0]), torch.tensor([2.0, 3.0])], [0.5, 0.5]).tolist() == [
-        1,
-        2,
-        3,
-    ]
 
 
 def test_gradients_that_a_slice_does_not_have_count_as_zero():

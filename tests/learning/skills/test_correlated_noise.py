@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from isaacgymenvs_lite.learning.skills.correlated_noise import CorrelatedNoise
+from isaacgymenvs_lite.learning.hrl_continuous import CorrelatedNoise
 
 
 def run(correlation: float, steps: int, envs: int = 2000) -> tuple[torch.Tensor, ...]:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from isaacgymenvs_lite.learning.skills.skill_probe import SkillProbe
+from isaacgymenvs_lite.learning.gen_amp_players import SkillProbe
 
 HISTORY, STRIDE = 3, 10
 
