@@ -24,7 +24,7 @@ from benchmarks.experiments import Experiment, find_experiment, override
 from benchmarks.learned import allowed_error, is_learned
 from benchmarks.records import Record, read_records, spread_cell
 from isaacgymenvs_lite.errors import ConfigError, UserError
-from isaacgymenvs_lite.motion.formats.deepmimic_package import PREFIX, clips_in_package
+from isaacgymenvs_lite.motion.formats.deepmimic import PREFIX, clips_in_package
 from isaacgymenvs_lite.motion.loader import (
     load_single_clip,
     shipped_motions,

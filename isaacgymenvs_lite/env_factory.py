@@ -34,12 +34,8 @@ from isaacgymenvs_lite.config.staging import (
 )
 from isaacgymenvs_lite.config.train_params import ISAAC_LAB_ACTIONS
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
-from isaacgymenvs_lite.motion.formats.deepmimic_package import is_package_name
-from isaacgymenvs_lite.motion.loader import (
-    resolve_motion_file,
-    shipped_motions_dir,
-    shipped_robot_motions_dir,
-)
+from isaacgymenvs_lite.motion.formats.deepmimic import is_package_name
+from isaacgymenvs_lite.motion.loader import resolve_motion_file
 from isaacgymenvs_lite.paths import assets_dir, user_path
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.gl import ensure_gl
@@ -205,10 +201,9 @@ def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:
     """
     clip = env.get("motion_file")
     if isinstance(clip, str) and clip and not is_package_name(clip):
-        shipped = (shipped_motions_dir(), shipped_robot_motions_dir())
-        folders = [Path(), *clip_folders(checkout, clip), *shipped]
+        folders = [Path(), *clip_folders(checkout, clip)]
         try:
-            env["motion_file"] = str(resolve_motion_file(clip, folders).absolute())
+            env["motion_file"] = str(Path(resolve_motion_file(clip, folders)).absolute())
         except MotionFileError as error:
             message = _of_sword_humanoid(env, checkout) or error
             raise MotionFileError(f"task.env.motion_file: {message}") from error

@@ -26,7 +26,7 @@ from isaacgymenvs_lite.checkpoints.run_config import (
     units_of_model,
 )
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, MotionFileError
-from isaacgymenvs_lite.motion.formats.deepmimic_package import (
+from isaacgymenvs_lite.motion.formats.deepmimic import (
     PREFIX,
     find_in_package,
     is_package_name,

@@ -38,25 +38,17 @@ Policy = Callable[[dict[str, Tensor]], Tensor]
 
 @dataclass(frozen=True)
 class EvaluationResult:
-    """The result of a played policy, as means over episodes.
+    """The result of a played policy, as means over episodes."""
 
-    Attributes:
-        num_episodes: the same number in every environment.
-        reward: sum of the task's rewards of an episode.
-        steps: control steps of an episode.
-        style_reward: discriminator's reward per step, None without a discriminator.
-        imitation: pose error and falls, None for tasks without reference motions.
-        goal_errors: means over all steps of the errors of the task's goal; {} without any.
-        falls: share of the episodes that ended before the time limit, 0 to 1.
-    """
-
-    num_episodes: int
-    reward: float
-    steps: float
-    style_reward: float | None
+    num_episodes: int  # the same number in every environment
+    reward: float  # sum of the task's rewards of an episode
+    steps: float  # control steps of an episode
+    style_reward: float | None  # discriminator's reward per step, None without a discriminator
+    # Pose error and falls, None for tasks without reference motions.
     imitation: ImitationResult | None
+    # Means over all steps of the errors of the task's goal; {} without any.
     goal_errors: dict[str, float] = field(default_factory=dict)
-    falls: float = 0.0
+    falls: float = 0.0  # share of the episodes that ended before the time limit, 0 to 1
 
     def __str__(self) -> str:
         """Return one line for users."""
@@ -143,7 +135,7 @@ def evaluate(
     Args:
         env: a task (`VecTask`); ended episodes are reset by `reset_done`.
         policy: returns the actions.
-        num_episodes: at least 1; rounded up to a multiple of the number of environments.
+        num_episodes: rounded up to a multiple of the number of environments.
         style_reward: maps `infos["amp_obs"]` (N, F) to rewards (N, 1).
         on_step: called with the dones (N,) and infos of each step, before resets.
     """
@@ -209,13 +201,7 @@ def play_on(
     policy: Policy,
     on_step: Callable[[Tensor, dict[str, Any]], None] | None = None,
 ) -> None:
-    """Play for as long as a window or a page is open, without measuring; Ctrl-C ends it.
-
-    Args:
-        env: a task that `evaluate` has played.
-        policy: returns the actions.
-        on_step: as in `evaluate`.
-    """
+    """Play for as long as a window or a page is open, without measuring; Ctrl-C ends it."""
     if not getattr(env, "is_watched", False):  # a user's own environment may lack it
         return
     log.info("playing on while a window or a page is open; Ctrl-C ends it")

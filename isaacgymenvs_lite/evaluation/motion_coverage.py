@@ -40,21 +40,13 @@ _LEAST_WEIGHT_M = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class _Moments:
-    """The S moments of one clip.
+    """The S moments of one clip."""
 
-    Attributes:
-        apart: control steps from their first time to the second.
-        rows: (S, 6 J) m.
-        weights: (S,) m, how far the bodies move, mean.
-        far_m: beyond this distance (root mean square over bodies and times) none is shown.
-        height_m: median height of the root.
-    """
-
-    apart: int
-    rows: Tensor
-    weights: Tensor
-    far_m: float
-    height_m: float
+    apart: int  # control steps from their first time to the second
+    rows: Tensor  # (S, 6 J) m
+    weights: Tensor  # (S,) m, how far the bodies move, mean
+    far_m: float  # beyond this distance (root mean square over bodies and times) none is shown
+    height_m: float  # median height of the root
 
     @classmethod
     def of(cls, clip: Track, dt_s: float) -> _Moments:
@@ -76,12 +68,7 @@ class _Moments:
         return cls(apart, moments.flatten(1), weights, far_m, _height_m(clip))
 
     def shown(self, track: Track, height_m: float | None = None) -> Tensor:
-        """Return how well each moment of an episode shows each of these, (T', S), 0 to 1.
-
-        Args:
-            track: the episode.
-            height_m: what heights are measured from, as `_moments`.
-        """
+        """Return how well each moment of an episode shows each of these, (T', S), 0 to 1."""
         if len(track) <= self.apart:
             return torch.zeros(1, len(self.rows))
         moments = _moments(track, self.apart, height_m).flatten(1)
@@ -93,12 +80,9 @@ class _Moments:
 
 @dataclass(frozen=True)
 class FallMoment:
-    """Where in the clips falls begin, if many begin at one moment.
+    """The time of a clip at which many falls begin, and their share.
 
-    Attributes:
-        clip: its number.
-        time_s: of the clip, where the character last showed it.
-        share: of the falls that begin within a quarter of a second of it.
+    They begin within a quarter of a second of it.
     """
 
     clip: int
@@ -107,12 +91,7 @@ class FallMoment:
 
 
 class MotionCoverage:
-    """Measures which share of the clips' motion episodes show.
-
-    Args:
-        clips: one track each, at least one; a row for each control step.
-        dt_s: control step.
-    """
+    """Measures which share of the clips' motion episodes show; a row of a track for each `dt_s`."""
 
     def __init__(self, clips: Sequence[Track], dt_s: float) -> None:
         self._dt_s = dt_s
@@ -123,12 +102,9 @@ class MotionCoverage:
         """Return the mean share, 0 to 1, over stretches of episodes; nan without episodes.
 
         A stretch takes twice as long as all clips together, or is a whole episode if that is
-        shorter. Of clips longer than a stretch as much is expected as fits into it. What an episode
-        does not show because it ended in a fall is missing.
-
-        Args:
-            episodes: their tracks.
-            max_steps: control steps of an episode that does not end early.
+        shorter (`max_steps` if it does not end early). Of clips longer than a stretch as much is
+        expected as fits into it. What an episode does not show because it ended in a fall is
+        missing.
         """
         if not episodes:
             return math.nan
@@ -202,12 +178,8 @@ def _weight_shown(how_well: Tensor, weights: Tensor, steps: int) -> Tensor:
 
     Where the moments of a clip are nearly alike, as in a slow crouched walk, each step of the
     episode is near many of them, but counts for one: an episode that starts in the walk and stands
-    after half a second has shown half a second of it.
-
-    Args:
-        how_well: (T, S), as `_Moments.shown`.
-        weights: (S,).
-        steps: control steps of the stretch; more than T, as its last moment ends with it.
+    after half a second has shown half a second of it. The stretch has more `steps` than rows of
+    `how_well` (T, S), as its last moment ends with it.
     """
     best, nearest = how_well.max(dim=1)
     most = (best * weights[nearest]).mean() * steps
@@ -221,11 +193,8 @@ def _height_m(track: Track) -> float:
 def _moments(track: Track, apart: int, height_m: float | None = None) -> Tensor:
     """Return the moments (T - apart, 2 J, 3) m of T > 1 steps; of one step that it stays there.
 
-    Args:
-        track: T steps.
-        apart: control steps from the first time of a moment to the second.
-        height_m: what heights are measured from. None: the median height of the root, as a clip
-            may be recorded above or below the ground.
+    Heights are measured from `height_m`. None: the median height of the root, as a clip may be
+    recorded above or below the ground.
     """
     apart = min(apart, len(track) - 1)
     first = track.body_pos_w[: len(track) - apart]

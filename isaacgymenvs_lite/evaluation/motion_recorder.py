@@ -9,10 +9,9 @@ from torch import Tensor
 
 from isaacgymenvs_lite.env_interface import ReferenceEnv
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.clip import JointClip, MotionClip
 from isaacgymenvs_lite.motion.formats.npz import save_npz
-from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
-from isaacgymenvs_lite.motion.joint_clip import JointClip
+from isaacgymenvs_lite.motion.formats.robot_clip import save_robot_npz
 from isaacgymenvs_lite.motion.kinematics import FloatArray, local_rotations
 from isaacgymenvs_lite.paths import user_path
 
@@ -20,17 +19,10 @@ log = logging.getLogger(__name__)
 
 
 class MotionRecorder:
-    """Records the first episode of environment 0 of a task with reference motions.
+    """Records the first episode of environment 0 of a task with reference motions, as .npz.
 
     A humanoid's clip has the rotations of its bodies, a robot's the coordinates of its joints, as
     the clips that the command `convert` writes.
-
-    Args:
-        env: the task.
-        path: the .npz file to write.
-
-    Raises:
-        ConfigError: the task has no reference motions, or the file cannot be written.
     """
 
     def __init__(self, env: ReferenceEnv, path: str) -> None:

@@ -24,8 +24,76 @@ from torch import Tensor
 
 from isaacgymenvs_lite.evaluation.body_tracks import Track
 from isaacgymenvs_lite.evaluation.motion_coverage import FallMoment, MotionCoverage
-from isaacgymenvs_lite.evaluation.time_warping import Alignment, align
 from isaacgymenvs_lite.utils.rotations import calc_heading, rotate_about_z
+
+# What a path cell and a step in the reference add to the imaginary part of a path's cost.
+_CELL = 1.0
+_ADVANCE = 2.0**-24
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """The cheapest warping paths of E episodes."""
+
+    # (E,) float64, the cost of the path, with what it pays for its steps, divided by the number of
+    # its cells.
+    mean_cost: npt.NDArray[np.float64]
+    # (E,) int, reference frames from the first to the last cell of the path.
+    advance: npt.NDArray[np.int64]
+
+
+def align(
+    cost: npt.NDArray[np.floating],
+    lengths: npt.NDArray[np.integer],
+    num_columns: npt.NDArray[np.integer],
+    off_tempo: float = 0.0,
+) -> Alignment:
+    """Align episodes with a reference by subsequence dynamic time warping.
+
+    A path visits cells (t, s), from any cell of an episode's first row to any cell of its last row,
+    by the steps (1, 0), (0, 1) and (1, 1). The cheapest path has the smallest sum of costs; among
+    equally cheap ones the one with the fewest cells counts, then the one that advances the least in
+    the reference. Time is O(E T S), memory beside `cost` O(E T).
+
+    `cost` (T, S, E) is not negative, of frame t of episode e at reference frame s. Rows after the
+    `lengths` (E,) of the episodes are ignored. Of `num_columns` (E,) more than S repeat the
+    reference from its start. A step (1, 0) or (0, 1) costs `off_tempo`: where all cells cost about
+    the same, the path goes on by (1, 1).
+    """
+    num_rows, num_frames, num_episodes = cost.shape
+    max_columns = int(num_columns.max())
+
+    # A path's cost and, as the imaginary part, its cells and its advance in one number: numpy
+    # orders complex numbers by the real and then by the imaginary part, which is the tie rule.
+    # Row 0 is before the episode: every path begins there at no cost. The cells of an
+    # anti-diagonal depend only on the two before it, hence three arrays that take turns.
+    older, old, new = (np.full((num_rows + 1, num_episodes), np.inf + 0j) for _ in range(3))
+    for diagonal in (older, old, new):
+        diagonal[0] = 0.0
+    best: npt.NDArray[np.complex128] = np.full(num_episodes, np.inf + 0j)
+    episodes = np.arange(num_episodes)
+    rows = np.arange(num_rows)
+    stay = np.full((num_rows, 1), off_tempo)
+    stay[0] = 0.0  # a path begins here
+    for k in range(num_rows + max_columns - 1):
+        first, last = max(0, k - max_columns + 1), min(num_rows, k + 1)
+        t = rows[first:last]
+        before = np.minimum(old[t + 1] + off_tempo, older[t])  # (t, s - 1) and (t - 1, s - 1)
+        before += 1j * _ADVANCE
+        np.minimum(before, old[t] + stay[t], out=before)  # (t - 1, s)
+        before += cost[t, (k - t) % num_frames]
+        before += 1j * _CELL
+        new[first + 1 : last + 1] = before
+
+        end_column = k - (lengths - 1)
+        ends = episodes[(end_column >= 0) & (end_column < num_columns)]
+        best[ends] = np.minimum(best[ends], new[lengths[ends], ends])
+        older, old, new = old, new, older
+
+    cells = np.floor(best.imag)
+    advance = np.rint((best.imag - cells) / _ADVANCE)
+    return Alignment(best.real / cells, advance.astype(np.int64))
+
 
 # The reference is repeated until a character this many times as fast as the clip fits.
 _MAX_TEMPO = 2
@@ -38,14 +106,9 @@ _CHUNK_BYTES = 200 * 2**20
 
 
 def root_relative_pose(body_pos_w: Tensor, root_rot_w: Tensor) -> Tensor:
-    """Return body positions relative to the root, in the heading frame of the root.
+    """Return body positions (..., J, 3) m relative to the root, in its heading frame.
 
-    Args:
-        body_pos_w: (..., J, 3) m, positions in the world, z up; body 0 is the root.
-        root_rot_w: (..., 4), rotation of the root, xyzw.
-
-    Returns:
-        (..., J, 3) m; the x axis points along the heading, z up, body 0 is at the origin.
+    Of positions in the world, z up, with the root first, and rotations (..., 4) xyzw of the root.
     """
     heading = calc_heading(root_rot_w).unsqueeze(-1)
     return rotate_about_z(heading.cos(), -heading.sin(), body_pos_w - body_pos_w[..., :1, :])
@@ -72,18 +135,13 @@ class ReferencePoses:
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One recorded episode.
+    """One recorded episode."""
 
-    Attributes:
-        poses: (T, J, 3) m, float32 on the CPU, `root_relative_pose` of every control step.
-        fell: whether it ended early by a fall.
-        track: where its bodies were, for the share of the motion; None: that is not measured.
-        start_s: time of the only clip at which it started, if it ends with the clip.
-    """
-
-    poses: Tensor
-    fell: bool
+    poses: Tensor  # (T, J, 3) m, float32 on the CPU, `root_relative_pose` of every control step
+    fell: bool  # whether it ended early by a fall
+    # Where its bodies were, for the share of the motion; None: that is not measured.
     track: Track | None = None
+    # Time of the only clip at which it started, if it ends with the clip.
     start_s: float | None = None
 
 
@@ -165,32 +223,26 @@ class EpisodeRecorder:
 
 @dataclass(frozen=True, eq=False)
 class ImitationResult:
-    """The result of `PoseErrorMetric`; nan where no episode could be measured.
+    """The result of `PoseErrorMetric`; nan where no episode could be measured."""
 
-    Attributes:
-        pose_error_m: mean of `per_episode` in m, over the episodes that could be measured.
-        per_episode: (E,) m; nan for an episode with poses that are not finite.
-        nearest_clip: (E,) index of the clip that `per_episode` refers to, -1 where it is nan.
-        tempo: mean number of reference frames passed per step: 1 is the clip's own tempo, 0 a
-            frozen pose, at most about 2. A low pose error means little when this is near 0. Where
-            the clip's poses are nearly alike, it is nearer to 1 than it is.
-        motion_shown: share of the clips' motion that the episodes show, 0 to 1, see
-            `motion_coverage`; nan if it was not measured.
-        no_fall_share: share of the episodes that ended without a fall, 0 to 1; one that could
-            not be measured counts as a fall.
-        fall_moment: where in the clips most falls begin; None if here and there.
-        mean_episode_steps: mean length in control steps.
-        num_episodes: E.
-    """
-
-    pose_error_m: float
+    pose_error_m: float  # mean of `per_episode` in m, over the episodes that could be measured
+    # (E,) m; nan for an episode with poses that are not finite.
     per_episode: npt.NDArray[np.float64]
+    # (E,) index of the clip that `per_episode` refers to, -1 where it is nan.
     nearest_clip: npt.NDArray[np.int64]
+    # Mean number of reference frames passed per step: 1 is the clip's own tempo, 0 a frozen pose,
+    # at most about 2. A low pose error means little when this is near 0. Where the clip's poses are
+    # nearly alike, it is nearer to 1 than it is.
     tempo: float
+    # Share of the episodes that ended without a fall, 0 to 1; one that could not be measured counts
+    # as a fall.
     no_fall_share: float
-    mean_episode_steps: float
-    num_episodes: int
+    mean_episode_steps: float  # mean length in control steps
+    num_episodes: int  # E
+    # Share of the clips' motion that the episodes show, 0 to 1, see `motion_coverage`; nan if it
+    # was not measured.
     motion_shown: float = math.nan
+    # Where in the clips most falls begin; None if here and there.
     fall_moment: FallMoment | None = None
 
     def __str__(self) -> str:
@@ -209,10 +261,8 @@ class ImitationResult:
 class PoseErrorMetric:
     """Measures the pose error of episodes against reference clips; the nearest clip counts.
 
-    Args:
-        reference: the clips, sampled at the episodes' control step.
-        coverage: measures the share of the clips' motion, too; None: that is not measured.
-        max_steps: control steps of an episode that does not end early, for `coverage`.
+    The clips are sampled at the episodes' control step. `max_steps` of an episode that does not end
+    early are for the coverage, which is not measured if it is None.
     """
 
     def __init__(
@@ -226,11 +276,7 @@ class PoseErrorMetric:
         self._max_steps = max_steps
 
     def evaluate(self, episodes: Sequence[Episode]) -> ImitationResult:
-        """Measure E >= 1 episodes.
-
-        Raises:
-            ValueError: no episode, or one that is not (T >= 1, J, 3) with the reference's J.
-        """
+        """Measure E >= 1 episodes; ValueError for poses of another shape than the reference's."""
         if not episodes:
             raise ValueError("there is no episode to measure; record at least one")
         expected = (self.reference.num_bodies, 3)

@@ -24,11 +24,7 @@ _LEAST_SCALE = 0.01
 
 @dataclass(frozen=True)
 class ClipShares:
-    """Which clips generated motion is most similar to.
-
-    Attributes:
-        shares: clip -> share of the windows, 0 to 1, all clips, the largest first.
-    """
+    """The share of windows that are nearest to each clip, the largest first."""
 
     shares: dict[str, float]
 
@@ -48,11 +44,7 @@ class ClipMatcher:
     """Finds the clip that a window of motion is nearest to.
 
     Features are scaled by their spread over the clips, each clip counting the same; the distance is
-    Euclidean.
-
-    Args:
-        windows: for each clip the windows (W, F) that it holds, W >= 1.
-        names: of the clips, at least one.
+    Euclidean. `windows` are (W, F) of each clip, W >= 1.
     """
 
     def __init__(self, windows: Sequence[Tensor], names: Sequence[str]) -> None:

@@ -9,19 +9,145 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import torch
+from omegaconf import DictConfig, OmegaConf, open_dict
 
-from isaacgymenvs_lite.checkpoints.files import load_checkpoint
-from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.export.configuration import configuration_of
+from isaacgymenvs_lite.checkpoints.files import (
+    checkpoint_of_tree,
+    load_checkpoint,
+    resolve_checkpoint,
+)
+from isaacgymenvs_lite.checkpoints.policy_arguments import as_override, complete_arguments
+from isaacgymenvs_lite.checkpoints.run_config import read_run_config, run_config_file
+from isaacgymenvs_lite.config.compose import changed_by, compose
+from isaacgymenvs_lite.errors import ConfigError, one_line
 from isaacgymenvs_lite.export.exportable_policy import PolicyGraph, make_exportable_policy
 from isaacgymenvs_lite.export.formats import FORMATS, ExportedPolicy
 from isaacgymenvs_lite.export.metadata import describe
-from isaacgymenvs_lite.export.scene import scene_of
+from isaacgymenvs_lite.paths import shipped_policies
 from isaacgymenvs_lite.runner import load_player
-from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.schema import plain, setting
+from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.files import written_for_user
+
+_NUM_ENVS = 2
+# Settings of the training that an export replaces.
+_PLAIN = {
+    "test": True,
+    "num_envs": _NUM_ENVS,
+    "num_threads": 1,
+    "rl_device": "cpu",
+    "sim_device": "cpu",
+    "pipeline": "cpu",
+    "multi_gpu": False,
+    "headless": True,
+    "force_render": False,
+    "viewer": "",
+    "capture_video": False,
+    "wandb_activate": False,
+    "seed": 1,
+    "torch_deterministic": False,
+    "latent": "",
+    "sigma": "",
+    "experiment": "",
+}
+
+
+def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> DictConfig:
+    """Return the tree that a policy is played with, on the CPU, in a few environments.
+
+    A shipped policy holds its settings, a checkpoint in a run folder belongs to the config.yaml
+    there. With `train=`, or `task=` of another task, the tree is composed anew. The checkpoint is a
+    path, the name of a shipped policy, or `last`: the newest of all runs, or, as in train.py, of
+    the task and train file that the overrides name.
+    """
+    if not checkpoint:
+        raise ConfigError(
+            "checkpoint= is missing; give a .pth file of a run, 'last', or a shipped policy:"
+            f" {', '.join(shipped_policies())}"
+        )
+    typed = dict(word.split("=", 1) for word in overrides if "=" in word)
+    is_shipped = checkpoint in shipped_policies()
+    # What train.py would play with these words: it decides the task, and what `last` means.
+    composes = "task" in typed or (checkpoint == "last" and "train" in typed)
+    composed = compose(overrides) if composes else None
+    if composed is None or is_shipped:
+        path = resolve_checkpoint(checkpoint, runs, "")
+    else:
+        path = checkpoint_of_tree(plain(composed), checkpoint, runs)
+    file = run_config_file(Path(path))
+    if not is_shipped and file.is_file() and "train" not in typed:
+        model = load_checkpoint(path).get("model", {})
+        cfg = OmegaConf.create(read_run_config(file, model, to_play=True))
+        if composed is None or composed.task.name == cfg.task.name:
+            log.info("task and train settings: %s", file)
+            words = [word for word in overrides if not word.startswith("task=")]
+            return _for_export(changed_by(cfg, words), path)
+    named = checkpoint if is_shipped else as_override(path)
+    words = complete_arguments(["test=True", f"checkpoint={named}", *overrides])
+    return _for_export(compose(words), path)
+
+
+def _for_export(cfg: DictConfig, path: str) -> DictConfig:
+    with open_dict(cfg):
+        for key, value in {**_PLAIN, "checkpoint": path}.items():
+            cfg[key] = value
+        cfg.task.env.numEnvs = _NUM_ENVS
+    return cfg
+
+
+_FIRST_LINE = "<!-- Written by isaacgymenvs_lite.export: what the policy was trained in. -->\n"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The robot with its drives and sensors on the floor, as MJCF.
+
+    `assets` are the meshes and textures by name, in a folder called as `path`.
+    """
+
+    path: Path
+    text: str
+    assets: dict[str, bytes]
+
+    def write(self) -> None:
+        """Write all files."""
+        for name, content in self.assets.items():
+            with written_for_user(self.path.with_suffix("") / name, "out") as partial:
+                partial.write_bytes(content)
+        with written_for_user(self.path, "out") as partial:
+            partial.write_text(self.text, encoding="utf-8")
+
+
+def scene_of(task: VecTask, policy: Path) -> Scene | None:
+    """Return what a robot's task simulates, as `<policy>_scene.xml`; None of other tasks.
+
+    None too, with a warning, if MuJoCo cannot write the model: the policy does not need it. Raises
+    ConfigError if there is a file of this name that is no earlier scene.
+    """
+    if not isinstance(task, MjcfTask) or task.robot_description() is None:
+        return None
+    path = policy.with_name(f"{policy.stem}_scene.xml")
+    if path.is_file() and not path.read_bytes().startswith(_FIRST_LINE.encode()):
+        raise ConfigError(
+            f"{path}: a file that no export wrote has the name of the policy's scene; choose"
+            " another out="
+        )
+    try:
+        spec = task.scene()
+        if spec is None:
+            return None
+        assets = dict(spec.assets)
+        if assets:
+            spec.meshdir = spec.texturedir = path.stem
+        return Scene(path, _FIRST_LINE + spec.to_xml(), assets)
+    except (ValueError, mujoco.FatalError) as error:
+        log.warning("%s: left out, MuJoCo cannot write it: %s", path, one_line(error))
+        return None
+
 
 log = logging.getLogger(__name__)
 
@@ -48,15 +174,7 @@ def export_policy(settings: ExportSettings, overrides: Sequence[str] = ()) -> Pa
     """Write the policy of a checkpoint into one file and return its path.
 
     The file is run once and compared with the policy. The model of a robot's task is written beside
-    it, see `scene_of`.
-
-    Args:
-        settings: of the command.
-        overrides: of the configuration, as on the command line of train.py.
-
-    Raises:
-        UserError: a package is missing, the checkpoint or its configuration cannot be used, or the
-            file cannot be written.
+    it, see `scene_of`. The overrides are of the configuration, as on the command line of train.py.
     """
     kind = FORMATS[settings.format]
     kind.check_packages(settings.format)

@@ -27,11 +27,7 @@ from isaacgymenvs_lite.learning.skills.low_level_policy import LowLevelPolicy, l
 class TensorSpec:
     """An input or an output of a graph: one tensor of n rows.
 
-    Attributes:
-        name: of the tensor.
-        shape: without n.
-        batch_axis: position of n in the shape.
-        dtype: of the tensor.
+    The shape leaves n out, which is at `batch_axis`.
     """
 
     name: str
@@ -39,12 +35,12 @@ class TensorSpec:
     batch_axis: int = 0
     dtype: torch.dtype = torch.float32
 
-    def sample(self, n: int, scale: float = 1.0) -> Tensor:
-        """Return n random rows: normal with this standard deviation, or fair booleans."""
+    def sample(self, n: int) -> Tensor:
+        """Return n random rows: standard normal, or fair booleans."""
         size = (*self.shape[: self.batch_axis], n, *self.shape[self.batch_axis :])
         if self.dtype == torch.bool:
             return torch.rand(size) < 0.5
-        return scale * torch.randn(size, dtype=self.dtype)
+        return torch.randn(size, dtype=self.dtype)
 
 
 class PolicyGraph(nn.Module):
@@ -81,11 +77,7 @@ class PolicyGraph(nn.Module):
 class _MeanActor(nn.Module):
     """Maps raw observations (n, O), and latents (n, Z) of skills, to mean actions (n, A).
 
-    Args:
-        model: an rl_games model with `norm_obs` and `a2c_network`.
-        low: (A,) limits of the actions.
-        high: (A,)
-        clip: whether actions are clamped to +-1 and mapped to the limits.
+    With `clip`, actions are clamped to +-1 and mapped to the limits `low` and `high` (A,).
     """
 
     def __init__(self, model: nn.Module, low: Tensor, high: Tensor, clip: bool) -> None:

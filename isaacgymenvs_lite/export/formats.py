@@ -34,12 +34,7 @@ _VERBOSE_LOGGERS = ("torch.onnx", "onnxscript", "onnx_ir")
 
 @dataclass(frozen=True)
 class ExportedPolicy:
-    """An exported policy that can be called.
-
-    Attributes:
-        metadata: see `metadata.describe`.
-        run: {input: array} -> {output: array}.
-    """
+    """An exported policy that can be called, and its metadata, see `metadata.describe`."""
 
     metadata: dict[str, Any]
     run: Callable[[Arrays], dict[str, npt.NDArray[Any]]]
@@ -51,14 +46,7 @@ class ExportedPolicy:
 
 @dataclass(frozen=True)
 class Format:
-    """A format of exported policies.
-
-    Attributes:
-        suffix: of its files.
-        packages: needed for writing and running, beside torch.
-        write: graph, metadata -> bytes of the file.
-        load: file -> policy.
-    """
+    """A format of exported policies: suffix, packages beside torch, writer and reader."""
 
     suffix: str
     packages: tuple[str, ...]
@@ -66,22 +54,13 @@ class Format:
     load: Callable[[Path], ExportedPolicy]
 
     def check_packages(self, name: str) -> None:
-        """Check that all packages are installed.
-
-        Raises:
-            MissingPackageError: one is not.
-        """
+        """Raise a MissingPackageError if a package is not installed."""
         for package in self.packages:
             require(package, f"format={name}", otherwise="choose format=torchscript")
 
 
 def load_policy(file: str | Path) -> ExportedPolicy:
-    """Read an exported policy in the format of its suffix.
-
-    Raises:
-        ConfigError: no such file, or another suffix.
-        MissingPackageError: a package that the format needs is not installed.
-    """
+    """Read an exported policy in the format of its suffix."""
     path = Path(file)
     by_suffix = {kind.suffix: (name, kind) for name, kind in FORMATS.items()}
     if path.suffix not in by_suffix:

@@ -29,11 +29,7 @@ def describe(
 ) -> dict[str, Any]:
     """Return the metadata of an exported policy; all values can be written as JSON.
 
-    Args:
-        cfg: the composed tree that the policy is played with.
-        player: of the policy.
-        graph: of the policy.
-        state: of its checkpoint.
+    `cfg` is the composed tree that the policy is played with, `state` its checkpoint's.
     """
     task: VecTask = player.env
     option = task.simulation.model.opt

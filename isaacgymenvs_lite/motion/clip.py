@@ -1,26 +1,37 @@
-"""A motion clip in memory: poses and velocities of one skeleton at a constant frame rate."""
+"""Motion clips in memory, at a constant frame rate: of bodies, and of a robot's joints.
+
+Files of robots' clips hold no bodies: they become a `JointClip`, whose joints are put into the
+order of a robot, and then a `MotionClip` by the robot's kinematics.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import logging
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
+import torch
 
-from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.errors import MotionFileError, listed
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.utils import rotations
 
-MIN_FPS, MAX_FPS = 0.1, 10_000.0
+_log = logging.getLogger(__name__)
+
+MIN_FPS, _MAX_FPS = 0.1, 10_000.0
 MAX_PLACE_M = 10_000.0
 """From the origin: beyond it single precision has steps of 1 mm."""
 _MAX_BONE_M = 10.0
-MAX_SPEED_M_S = 1_000.0
-MAX_SPEED_RAD_S = 100_000.0
+_MAX_SPEED_M_S = 1_000.0
+_MAX_SPEED_RAD_S = 100_000.0
 MAX_JOINT_RAD = 1_000.0  # 160 turns of a wheel's hinge
 # How far the length of a stored quaternion may be from 1.
-UNIT_TOLERANCE = 1e-3
+_UNIT_TOLERANCE = 1e-3
 # Fewer repeated pairs than this are a character at rest, not data stored twice.
 _MIN_REPEATED_PAIRS = 2
 # Array -> largest absolute value of a number in it, unit.
@@ -28,9 +39,21 @@ _LIMITS = {
     "root_translation": (MAX_PLACE_M, "m"),
     "local_translation": (_MAX_BONE_M, "m"),
     "dof_pos": (MAX_JOINT_RAD, "rad"),
-    "linear_velocity_w": (MAX_SPEED_M_S, "m/s"),
-    "angular_velocity_w": (MAX_SPEED_RAD_S, "rad/s"),
+    "linear_velocity_w": (_MAX_SPEED_M_S, "m/s"),
+    "angular_velocity_w": (_MAX_SPEED_RAD_S, "rad/s"),
 }
+QuatOrder = Literal["xyzw", "wxyz"]
+QUAT_ORDERS: tuple[QuatOrder, ...] = ("xyzw", "wxyz")
+# What no robot does, and what is reported only: G1's fastest joints reach 37 rad/s.
+_ODD_JOINT_SPEED_RAD_S, _ODD_ROOT_SPEED_M_S = 60.0, 15.0
+_ODD_JOINT_RAD, _ODD_HEIGHT_M = 10.0, 20.0
+# Beyond a joint's limits: what no file in radians has.
+_MAX_EXCESS_RAD = 2.0 * np.pi
+# A root is upright where its upward axis, by default z, is within 60 degrees of the world's.
+_UPRIGHT_COSINE = 0.5
+UP: tuple[float, ...] = (0.0, 0.0, 1.0)
+_HAND_WORDS = {"hand", "finger", "thumb", "index", "middle", "ring", "pinky", "little", "gripper"}
+_SUFFIX = re.compile(r"(_joint|_dof)+$")
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,29 +155,43 @@ class MotionClip:
         )
 
     def validate(self) -> None:
-        """Check that the clip can be used.
+        """Raise a MotionFileError for a clip that cannot be used.
 
-        Raises:
-            MotionFileError: arrays do not fit together, not one root, a child before its parent,
-                fewer than two frames, NaN or infinity, quaternions that are not of unit length
-                (1e-3); a frame rate, place, bone or speed that no motion has.
+        Arrays do not fit together, the tree has not one root or a child before its parent, there
+        are fewer than two frames, NaN or infinity, quaternions that are not of unit length (1e-3),
+        or a frame rate, place, bone or speed that no motion has.
         """
-        self._check_shapes()
+        frames, bodies = len(np.atleast_1d(self.local_rotation)), self.num_bodies
+        moving = (frames,) * (np.ndim(self.local_translation) == 3)
+        shapes = {
+            "parent_indices": (bodies,),
+            "local_translation": (*moving, bodies, 3),
+            "local_rotation": (frames, bodies, 4),
+            "root_translation": (frames, 3),
+            "linear_velocity_w": (frames, bodies, 3),
+            "angular_velocity_w": (frames, bodies, 3),
+        }
+        if self.dof_pos is not None:
+            shapes["dof_pos"] = (frames, np.shape(self.dof_pos)[-1])
+        _check_shapes(self, shapes, f"{frames} frames of {bodies} bodies")
         self._check_tree()
-        if self.num_frames < 2:
+        if frames < 2:
             raise MotionFileError(
-                f"{self.name}: holds {self.num_frames} frame(s), expected at least 2: "
+                f"{self.name}: holds {frames} frame(s), expected at least 2: "
                 "a single pose has no duration"
             )
-        check_fps(self.name, self.fps)
-        self._check_values()
+        _check_fps_and_finite(self, ["local_translation", *self.timed_arrays()])
+        self._check_sizes()
+        if (found := _not_unit(self.local_rotation)) is not None:
+            (frame, body), problem = found
+            raise MotionFileError(
+                f"{self.name}: the rotation of '{self.body_names[body]}' in frame {frame} {problem}"
+            )
 
     def find_repeated_frames(self) -> int | None:
-        """Find whether every pose is stored twice in a row.
+        """Return the first frame, 0 or 1, that its own copy follows if every pose is stored twice.
 
-        Returns:
-            The index, 0 or 1, of the first frame that is followed by its own copy (1: the clip
-            starts with the second of a pair), or None.
+        With 1 the clip starts with the second of a pair. None: poses are not stored twice.
         """
         same = (self.local_rotation[1:] == self.local_rotation[:-1]).all(axis=(1, 2))
         same &= (self.root_translation[1:] == self.root_translation[:-1]).all(axis=1)
@@ -167,10 +204,9 @@ class MotionClip:
         return None
 
     def drop_repeated_frames(self) -> MotionClip:
-        """Return the clip without the copies, at half the fps, if every pose is stored twice.
+        """Return the clip without copies, at half the fps, if every pose is stored twice.
 
-        Stored velocities are kept: they were smoothed over many frames and are correct. A clip
-        without copies is returned unchanged.
+        Stored velocities are kept: they were smoothed over many frames and are correct.
         """
         first = self.find_repeated_frames()
         if first is None:
@@ -180,26 +216,6 @@ class MotionClip:
             keep = np.concatenate(([0], keep))
         kept = {key: values[keep] for key, values in self.timed_arrays().items()}
         return dataclasses.replace(self, fps=self.fps / 2.0, **kept)
-
-    def _check_shapes(self) -> None:
-        frames, bodies = len(np.atleast_1d(self.local_rotation)), self.num_bodies
-        expected = {
-            "parent_indices": (bodies,),
-            "local_translation": (*(frames,) * (np.ndim(self.local_translation) == 3), bodies, 3),
-            "local_rotation": (frames, bodies, 4),
-            "root_translation": (frames, 3),
-            "linear_velocity_w": (frames, bodies, 3),
-            "angular_velocity_w": (frames, bodies, 3),
-        }
-        if self.dof_pos is not None:
-            expected["dof_pos"] = (frames, np.shape(self.dof_pos)[-1])
-        for key, shape in expected.items():
-            found = np.shape(getattr(self, key))
-            if found != shape:
-                raise MotionFileError(
-                    f"{self.name}: {key} has shape {found}, expected {shape} "
-                    f"for {frames} frames of {bodies} bodies"
-                )
 
     def _check_tree(self) -> None:
         roots = sum(parent < 0 for parent in self.parent_indices)
@@ -214,20 +230,6 @@ class MotionClip:
         if len(set(self.body_names)) != self.num_bodies:
             raise MotionFileError(f"{self.name}: body names are not unique: {self.body_names}")
 
-    def _check_values(self) -> None:
-        arrays = {"local_translation": self.local_translation, **self.timed_arrays()}
-        for key, values in arrays.items():
-            check_finite(self.name, key, values)
-        self._check_sizes()
-        deviation = np.abs(np.linalg.norm(self.local_rotation, axis=-1) - 1.0)
-        if deviation.max() > UNIT_TOLERANCE:
-            frame, body = (int(i) for i in np.unravel_index(deviation.argmax(), deviation.shape))
-            raise MotionFileError(
-                f"{self.name}: the rotation of '{self.body_names[body]}' in frame {frame} is no "
-                f"unit quaternion (length off by {deviation[frame, body]:.3g}, allowed "
-                f"{UNIT_TOLERANCE:g})"
-            )
-
     def _check_sizes(self) -> None:
         for key, (limit, unit) in _LIMITS.items():
             values = getattr(self, key)
@@ -235,30 +237,239 @@ class MotionClip:
                 continue
             # The root's own offset is not used.
             values = values[..., 1:, :] if key == "local_translation" else values
-            check_size(self.name, key, float(np.abs(values).max(initial=0.0)), limit, unit)
+            _check_size(self.name, key, float(np.abs(values).max(initial=0.0)), limit, unit)
 
 
-def check_fps(name: str, fps: float) -> None:
-    """Raise a MotionFileError for a frame rate that no motion has."""
-    if not MIN_FPS <= fps <= MAX_FPS:
-        raise MotionFileError(f"{name}: fps is {fps:g}, expected {MIN_FPS:g} to {MAX_FPS:g}")
+def _check_shapes(clip: MotionClip | JointClip, shapes: dict[str, Any], what: str) -> None:
+    """Raise a MotionFileError if an array has another shape than expected."""
+    for key, shape in shapes.items():
+        found = np.shape(getattr(clip, key))
+        if found != shape:
+            raise MotionFileError(
+                f"{clip.name}: {key} has shape {found}, expected {shape} for {what}"
+            )
 
 
-def check_finite(name: str, key: str, values: FloatArray) -> None:
-    """Raise a MotionFileError for NaN and infinity."""
-    finite = np.isfinite(values)
-    if not finite.all():
-        where = tuple(int(i) for i in np.argwhere(~finite)[0])
+def _check_fps_and_finite(clip: MotionClip | JointClip, keys: Iterable[str]) -> None:
+    """Raise a MotionFileError for a frame rate that no motion has, NaN and infinity."""
+    if not MIN_FPS <= clip.fps <= _MAX_FPS:
         raise MotionFileError(
-            f"{name}: {key} holds {np.count_nonzero(~finite)} number(s) that are NaN or infinite, "
-            f"the first at index {where}"
+            f"{clip.name}: fps is {clip.fps:g}, expected {MIN_FPS:g} to {_MAX_FPS:g}"
         )
+    for key in keys:
+        finite = np.isfinite(getattr(clip, key))
+        if not finite.all():
+            where = tuple(int(i) for i in np.argwhere(~finite)[0])
+            raise MotionFileError(
+                f"{clip.name}: {key} holds {np.count_nonzero(~finite)} number(s) that are NaN or"
+                f" infinite, the first at index {where}"
+            )
 
 
-def check_size(name: str, key: str, largest: float, limit: float, unit: str) -> None:
+def _not_unit(quaternions: FloatArray) -> tuple[tuple[int, ...], str] | None:
+    """Return where (..., 4) are farthest from unit length, and how far; None if all are near."""
+    deviation = np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0)
+    if deviation.max() <= _UNIT_TOLERANCE:
+        return None
+    where = tuple(int(i) for i in np.unravel_index(deviation.argmax(), deviation.shape))
+    off = f"length off by {deviation.max():.3g}, allowed {_UNIT_TOLERANCE:g}"
+    return where, f"is no unit quaternion ({off})"
+
+
+def _check_size(name: str, key: str, largest: float, limit: float, unit: str) -> None:
     """Raise a MotionFileError for a value that no motion has: a wrong unit, or a damaged file."""
     if largest > limit:
         raise MotionFileError(
             f"{name}: {key} has {largest:.4g} {unit}, expected at most {limit:g} {unit}; is its "
             "unit another one?"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class JointClip:
+    """T >= 2 frames of a robot with D joint coordinates; z up, quaternions xyzw."""
+
+    name: str  # the source of the clip, its path
+    fps: float  # frames per second
+    root_pos: FloatArray  # (T, 3) m, world position of the root body
+    root_rot: FloatArray  # (T, 4) xyzw, rotation of the root body to the world
+    dof_pos: FloatArray  # (T, D) rad, angles of hinges, and rotation vectors of ball joints
+    joint_names: tuple[str, ...] | None = None  # D names, or None where the file has none
+    # The order in which the quaternions of the file were read; None: it holds other rotations.
+    file_quat_order: QuatOrder | None = "xyzw"
+
+    @property
+    def num_frames(self) -> int:
+        """The number of frames T."""
+        return len(self.dof_pos)
+
+    @property
+    def num_dofs(self) -> int:
+        """The number of joint coordinates D."""
+        return int(np.shape(self.dof_pos)[1])
+
+    def validate(self) -> None:
+        """Raise a MotionFileError for a clip that cannot be used, see `MotionClip.validate`."""
+        if np.ndim(self.dof_pos) != 2 or self.num_frames < 2 or self.num_dofs < 1:
+            raise MotionFileError(
+                f"{self.name}: dof_pos has shape {np.shape(self.dof_pos)}, expected (frames, "
+                "joints), at least 2 frames and 1 joint"
+            )
+        frames, dofs, names = self.num_frames, self.num_dofs, self.joint_names
+        shapes = {"root_pos": (frames, 3), "root_rot": (frames, 4)}
+        _check_shapes(self, shapes, f"{frames} frames of dof_pos")
+        if names is not None and (len(names) != dofs or len(set(names)) != dofs):
+            raise MotionFileError(
+                f"{self.name}: has {len(names)} names of joints ({len(set(names))} different "
+                f"ones), expected one for each of {dofs} columns"
+            )
+        _check_fps_and_finite(self, ("root_pos", "root_rot", "dof_pos"))
+        for what, largest, limit, unit in (
+            ("root_pos", np.abs(self.root_pos).max(), MAX_PLACE_M, "m"),
+            ("dof_pos", np.abs(self.dof_pos).max(), MAX_JOINT_RAD, "rad"),
+            ("the root's speed", self._root_speed().max(), _MAX_SPEED_M_S, "m/s"),
+            ("a joint's speed", self._joint_speed().max(), _MAX_SPEED_RAD_S, "rad/s"),
+        ):
+            _check_size(self.name, what, float(largest), limit, unit)
+        if (found := _not_unit(self.root_rot)) is not None:
+            raise MotionFileError(f"{self.name}: root_rot of frame {found[0][0]} {found[1]}")
+
+    def _root_speed(self) -> FloatArray:
+        """Return the root's speed (T-1) in m/s."""
+        return np.linalg.norm(np.diff(self.root_pos.astype(np.float64), axis=0), axis=-1) * self.fps
+
+    def _joint_speed(self) -> FloatArray:
+        """Return the joints' speeds (T-1, D) in rad/s."""
+        return np.abs(np.diff(self.dof_pos.astype(np.float64), axis=0)) * self.fps
+
+    def oddities(self, up_b: Sequence[float] = UP) -> list[str]:
+        """Return one line for each thing that few robots do: a wrong unit, rate or quaternion.
+
+        `up_b` (3,) is the upward direction in the frame of an upright root.
+        """
+        found = []
+        lying = 1.0 - _upright_share(self.root_rot, up_b)
+        if lying > 0.5:
+            text = f"the root lies on its side or upside down in {lying:.0%} of the frames"
+            for order in QUAT_ORDERS if self.file_quat_order else ():
+                if _upright_share(self.reread(order).root_rot, up_b) > 0.5:
+                    text += (
+                        f", but not if the quaternions of the file are {order}:"
+                        f" isaacgymenvs-lite convert reads them so with quat_order={order}"
+                    )
+            found.append(text)
+        root, speeds, angles = self._root_speed().max(), self._joint_speed(), np.abs(self.dof_pos)
+        height, check = np.abs(self.root_pos[:, 2]).max(), f"{self.fps:g} fps; check fps and units"
+        if root > _ODD_ROOT_SPEED_M_S:
+            found.append(f"the root moves at {root:.3g} m/s at {check}")
+        if speeds.max() > _ODD_JOINT_SPEED_RAD_S:
+            label = self._label(int(speeds.max(axis=0).argmax()))
+            found.append(f"{label} turns at {speeds.max():.3g} rad/s at {check}")
+        if angles.max() > _ODD_JOINT_RAD:
+            label = self._label(int(angles.max(axis=0).argmax()))
+            found.append(f"{label} is at {angles.max():.3g} rad; is the unit degrees?")
+        if height > _ODD_HEIGHT_M:
+            found.append(f"the root is {height:.3g} m high; is the unit cm?")
+        return found
+
+    def _label(self, joint: int) -> str:
+        return self.joint_names[joint] if self.joint_names else f"joint {joint}"
+
+    def reread(self, quat_order: QuatOrder) -> JointClip:
+        """Return the clip with the quaternions of its file read in this order.
+
+        Raises MotionFileError if the file holds other rotations.
+        """
+        if self.file_quat_order is None:
+            raise MotionFileError(
+                f"{self.name}: holds no quaternions, so that quat_order={quat_order} has no"
+                " meaning; leave it out"
+            )
+        if quat_order == self.file_quat_order:
+            return self
+        quaternions = torch.from_numpy(np.ascontiguousarray(self.root_rot))
+        is_wxyz = quat_order == "wxyz"
+        rotation = (rotations.xyzw_from_wxyz if is_wxyz else rotations.wxyz_from_xyzw)(quaternions)
+        return dataclasses.replace(self, root_rot=rotation.numpy(), file_quat_order=quat_order)
+
+    def fitted_to(
+        self, joint_names: Sequence[str], by_order: bool = False, followers: Sequence[str] = ()
+    ) -> JointClip:
+        """Return the clip with the joints of a robot in its order.
+
+        Names count where the file has them; an ending `_joint` or `_dof` may be missing on one
+        side. Joints of hands that only the file has are dropped; those that only the robot has stay
+        at 0 rad. Both are logged. Without names, or `by_order`, the order and the number of joints
+        count. Angles of `followers`, which follow from other joints, are NaN if the file leaves
+        them out.
+
+        Raises MotionFileError if other joints are missing or extra, or the number differs.
+        """
+        names = tuple(joint_names)
+        if self.joint_names is None or by_order:
+            leaders = tuple(name for name in names if name not in followers)
+            if self.num_dofs not in (len(names), len(leaders)):
+                raise MotionFileError(
+                    f"{self.name}: has {self.num_dofs} joints without names, the robot has "
+                    f"{len(names)} ({listed(names)}); give a clip of this robot"
+                )
+            own = names if self.num_dofs == len(names) else leaders
+            return dataclasses.replace(self, joint_names=own).fitted_to(names, False, followers)
+        ours = {name: i for i, name in enumerate(_comparable(self.joint_names, names))}
+        theirs = _comparable(names, self.joint_names)
+        absent = [i for i, name in enumerate(theirs) if name not in ours]
+        following = [i for i in absent if names[i] in followers]
+        missing = [theirs[i] for i in absent if i not in following]
+        extra = [name for name in ours if name not in set(theirs)]
+        if not all(map(_is_of_hand, (*missing, *extra))):
+            raise MotionFileError(
+                f"{self.name}: its joints are not the robot's; only the robot has "
+                f"{listed(missing)}; only the file has {listed(extra)}"
+                + ("; by_order=True ignores names" if self.num_dofs == len(names) else "")
+            )
+        for what, joints in (("drops", extra), ("leaves at 0 rad", missing)):
+            if joints:
+                _log.info("%s: %s the joints of hands %s", self.name, what, listed(joints))
+        dof_pos = np.zeros((self.num_frames, len(names)), dtype=self.dof_pos.dtype)
+        dof_pos[:, following] = np.nan
+        for column, name in enumerate(theirs):
+            if name in ours:
+                dof_pos[:, column] = self.dof_pos[:, ours[name]]
+        return dataclasses.replace(self, dof_pos=dof_pos, joint_names=names)
+
+    def check_limits(self, dof_limits: FloatArray) -> None:
+        """Raise a MotionFileError if joints exceed their limits so far that the unit is wrong.
+
+        `dof_limits` (D, 2) rad are of a robot, in its order. Smaller excesses are `plausibility`'s.
+        """
+        excess_rad = np.maximum(dof_limits[:, 0] - self.dof_pos, self.dof_pos - dof_limits[:, 1])
+        of_joints_rad = np.fmax.reduce(excess_rad)  # without NaN, see `fitted_to`
+        joint = int(np.nanargmax(of_joints_rad))
+        worst_rad = float(of_joints_rad[joint])
+        if worst_rad <= _MAX_EXCESS_RAD:
+            return
+        low, high = dof_limits[joint]
+        raise MotionFileError(
+            f"{self.name}: {self._label(joint)} leaves its limits ({low:.3g} to {high:.3g} rad) by"
+            f" up to {worst_rad:.3g} rad; is the unit degrees?"
+        )
+
+
+def _upright_share(root_rot: FloatArray, up_b: Sequence[float]) -> float:
+    """Return the share of rotations (T, 4) that turn `up_b` (3,) within 60 degrees of z."""
+    turns = torch.from_numpy(np.ascontiguousarray(root_rot, dtype=np.float64))
+    up = torch.tensor(up_b, dtype=torch.float64).expand(len(turns), 3)
+    up_w = rotations.quat_apply(turns, up)
+    return float((up_w[:, 2] > _UPRIGHT_COSINE).double().mean())
+
+
+def _comparable(names: Sequence[str], others: Sequence[str]) -> list[str]:
+    """Return the names without endings, unless two of one side would become the same."""
+    short = [_SUFFIX.sub("", name) for name in names]
+    other_short = {_SUFFIX.sub("", name) for name in others}
+    unique = len(set(short)) == len(names) and len(other_short) == len(others)
+    return short if unique else list(names)
+
+
+def _is_of_hand(name: str) -> bool:
+    return not _HAND_WORDS.isdisjoint(name.lower().split("_"))

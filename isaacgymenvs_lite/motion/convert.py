@@ -30,6 +30,7 @@ For a clip of a robot:
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import sys
 from collections.abc import Callable
@@ -37,25 +38,47 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.clip import QUAT_ORDERS, JointClip, MotionClip, QuatOrder
 from isaacgymenvs_lite.motion.editing import cut, resample
 from isaacgymenvs_lite.motion.formats.deepmimic import save_deepmimic
 from isaacgymenvs_lite.motion.formats.files import check_output
-from isaacgymenvs_lite.motion.formats.joint_csv import save_joint_csv
+from isaacgymenvs_lite.motion.formats.joint_csv import save_joint_csv, save_robot_csv
 from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.formats.poselib import save_poselib_npy
-from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
-from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
-from isaacgymenvs_lite.motion.joint_clip import QUAT_ORDERS
+from isaacgymenvs_lite.motion.formats.robot_clip import save_robot_npz
 from isaacgymenvs_lite.motion.loader import JointFileSettings, load_single_clip
 from isaacgymenvs_lite.motion.plausibility import put_on_ground, warn_of_implausible
+from isaacgymenvs_lite.motion.qpos import clip_from_qpos, dofs_of_clip
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
-from isaacgymenvs_lite.motion.retargeting.mapping_choice import recognise_skeleton
-from isaacgymenvs_lite.motion.retargeting.retarget import retarget_bvh
-from isaacgymenvs_lite.motion.robot_clips import clip_for_robot, joints_of_clip
-from isaacgymenvs_lite.motion.robot_file import run_file_command
+from isaacgymenvs_lite.motion.retargeting.mapping_choice import (
+    read_named_mappings,
+    recognise_robot,
+    recognise_skeleton,
+)
+from isaacgymenvs_lite.motion.retargeting.retarget import (
+    load_bvh_source,
+    retarget_bvh,
+    retarget_to_robot,
+)
+from isaacgymenvs_lite.motion.retargeting.robot import robot_from_model
+from isaacgymenvs_lite.motion.retargeting.source import source_from_clip
+from isaacgymenvs_lite.motion.robot_file import load_clip_robot, run_file_command
 from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.robots.settings import RobotSettings
 from isaacgymenvs_lite.schema import setting
+
+
+def joints_of_clip(clip: MotionClip, skeleton: Skeleton) -> JointClip:
+    """Return the joint coordinates of a robot's clip, with the names of its joints."""
+    return JointClip(
+        name=clip.name,
+        fps=clip.fps,
+        root_pos=clip.root_translation,
+        root_rot=clip.local_rotation[:, 0],
+        dof_pos=dofs_of_clip(skeleton, clip),
+        joint_names=skeleton.dof_names,
+    )
+
 
 _log = logging.getLogger(__name__)
 
@@ -125,12 +148,7 @@ class ConvertSettings:
 
 
 def convert(source: str, out: str, settings: ConvertSettings) -> Path:
-    """Convert one clip; returns the path of the output.
-
-    Raises:
-        UserError: the input cannot be read, the output cannot be written, or exists. No partial
-            output remains.
-    """
+    """Convert one clip; returns the path of the output, of which no part remains after an error."""
     path = Path(out)
     formats = _ROBOT_FORMATS if settings.robot else _FORMATS
     check_output(path, formats, settings.overwrite)
@@ -164,7 +182,13 @@ def _clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]
     if settings.mapping:
         raise ConfigError(f"mapping={settings.mapping}: only a .bvh file needs one, or robot=")
     skeletons = [skeleton_for_num_dofs(settings.num_dofs)] if settings.num_dofs else ()
-    clip, skeleton = load_single_clip(source, skeletons)
+    return _part(*load_single_clip(source, skeletons), settings)
+
+
+def _part(
+    clip: MotionClip, skeleton: Skeleton, settings: ConvertSettings
+) -> tuple[MotionClip, Skeleton]:
+    """Return the part of a clip that the settings ask for, at their frame rate."""
     clip = cut(clip, settings.start_s, settings.end_s)
     if settings.fps is not None:
         clip = resample(clip, settings.fps, skeleton)
@@ -172,22 +196,58 @@ def _clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]
 
 
 def _robots_clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]:
-    """Read a clip of a robot, or retarget one to it."""
+    """Read a clip of a robot, or retarget a humanoid's or a BVH file to it."""
     if settings.num_dofs is not None:
         raise ConfigError(
             f"num_dofs={settings.num_dofs} chooses a humanoid and robot={settings.robot} a robot; "
             "leave one out"
         )
-    times = (settings.start_s, settings.end_s, settings.fps)
-    return clip_for_robot(source, settings.robot, settings.mapping, *times, _joint_file(settings))
+    joint_file = _joint_file(settings)
+    of_skeleton, of_robot = read_named_mappings(settings.mapping)
+    start = RobotSettings()
+    if of_robot is not None:
+        pose, rotation = of_robot.start_pose or None, of_robot.start_rotation
+        start = RobotSettings(start_pose=pose, start_rotation=rotation)
+    robot = load_clip_robot(settings.robot, start)
+    for line in (robot.prepared.describe()[0], *robot.prepared.notes):
+        _log.info("%s", line)
+    if Path(source).suffix.lower() == ".bvh":
+        if joint_file != JointFileSettings():
+            raise ConfigError("file_fps=, quat_order= and by_order= are not for a .bvh file")
+        of_skeleton = of_skeleton or recognise_skeleton(source)
+        times = (settings.start_s, settings.end_s, settings.fps)
+        motion = load_bvh_source(source, of_skeleton, *times)
+    else:
+        if of_skeleton is not None:
+            raise ConfigError(
+                f"mapping={of_skeleton.name}: only a .bvh file needs one of this kind"
+            )
+        humanoids = [skeleton_for_num_dofs(number) for number in SHIPPED_NUM_DOFS]
+        read = load_single_clip(source, [robot.skeleton, *humanoids], joint_file)
+        clip, skeleton = _part(*read, settings)
+        if skeleton is robot.skeleton:
+            if of_robot is None:
+                return clip, skeleton
+            raise ConfigError(
+                f"mapping={of_robot.name}: {clip.name} is a clip of this robot, which needs no"
+                " mapping"
+            )
+        motion = source_from_clip(clip)
+    model, start_qpos = robot.prepared.model, robot.prepared.start_qpos
+    if of_robot is None or not of_robot.bodies:
+        try:
+            found = recognise_robot(model, start_qpos)
+        except ConfigError as error:
+            message = f"robot={settings.robot}: {error}; name it by mapping=FILE"
+            raise ConfigError(message) from error
+        of_robot = dataclasses.replace(of_robot or found, bodies=found.bodies)
+    result = retarget_to_robot(motion, robot_from_model(model, of_robot, start_qpos))
+    return clip_from_qpos(motion.name, result.fps, robot.skeleton, result.qpos), robot.skeleton
 
 
 def _joint_file(settings: ConvertSettings) -> JointFileSettings:
-    return JointFileSettings(
-        fps=settings.file_fps,
-        quat_order=next((order for order in QUAT_ORDERS if order == settings.quat_order), None),
-        by_order=settings.by_order,
-    )
+    quat_order: QuatOrder | None = next((o for o in QUAT_ORDERS if o == settings.quat_order), None)
+    return JointFileSettings(settings.file_fps, quat_order, settings.by_order)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -22,8 +22,7 @@ _TIME_ROUNDING_S = 1e-6
 def cut(clip: MotionClip, start_s: float = 0.0, end_s: float | None = None) -> MotionClip:
     """Return the frames from the one nearest to `start_s` to the one nearest to `end_s`.
 
-    Raises:
-        MotionFileError: the times are not in the clip, or fewer than two frames remain.
+    Raises MotionFileError if the times are not in the clip, or fewer than two frames remain.
     """
     end_s = clip.length_s if end_s is None else end_s
     if not 0.0 <= start_s < end_s <= clip.length_s + _TIME_ROUNDING_S:
@@ -46,16 +45,8 @@ def resample(clip: MotionClip, fps: float, skeleton: Skeleton | None = None) -> 
     """Return the clip at another frame rate, poses and velocities interpolated.
 
     The first frame is kept; the last one is the last multiple of the new frame time in the clip.
-    Of a clip with joint coordinates these are interpolated, angles of hinges linearly; they
-    determine the poses.
-
-    Args:
-        clip: see above.
-        fps: of the result.
-        skeleton: of the clip; needed if it has `dof_pos`.
-
-    Raises:
-        MotionFileError: fewer than two frames remain, or the skeleton is missing.
+    Joint coordinates, which need the skeleton, determine the poses; angles of hinges are
+    interpolated linearly. Raises MotionFileError if fewer than two frames remain.
     """
     num_frames = int(clip.length_s * fps + _TIME_ROUNDING_S) + 1
     if num_frames < 2:

@@ -25,29 +25,255 @@ Feet in stance stay where they are while the trunk moves on at constant speed.
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 import torch
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.motion.clip import JointClip
 from isaacgymenvs_lite.motion.formats.files import check_output
-from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
-from isaacgymenvs_lite.motion.joint_clip import JointClip
+from isaacgymenvs_lite.motion.formats.robot_clip import save_robot_npz
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.legs import KNEES, Leg, LegSolver, find_legs
 from isaacgymenvs_lite.motion.qpos import dofs_from_qpos
+from isaacgymenvs_lite.motion.retargeting.source import find_sole
 from isaacgymenvs_lite.motion.robot_file import run_file_command
 from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.robots.followers import Followers
+from isaacgymenvs_lite.robots.limbs import ancestors, free_joints
 from isaacgymenvs_lite.robots.load import PreparedRobot, load_robot
 from isaacgymenvs_lite.robots.settings import RobotSettings
+from isaacgymenvs_lite.robots.stance import LATERAL
+from isaacgymenvs_lite.robots.start_pose import posed
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.utils import rotations
+
+NUM_LEGS = 4
+_LEAST_HINGES = 3  # with fewer, a foot does not reach every point about it
+_MOST_HINGES = 6  # the search for a first pose tries three angles of each
+KNEES = ("behind", "ahead", "inward")
+"""Sides to which legs may bend; inward: front ones behind, rear ones ahead, as a dog's."""
+TOLERANCE_M = 1e-6
+"""How near a foot comes to its place."""
+_ITERATIONS = 100
+_DAMPING = 1e-6  # m^2/rad^2, of the squared Jacobian: keeps steps of straight legs finite
+_LONGEST_STEP_RAD = 0.3
+_PULL = 0.1  # of the way back to the posture, in a step of a leg that has hinges to spare
+# Angles from the start pose, of each joint, from which the search of the first pose begins.
+_FIRST_BENDS_RAD = (-1.0, 0.0, 1.0)
+# Solutions whose angles differ from the start pose by as much are alike; then the knees decide.
+_ALIKE_RAD = 0.2
+_LOWEST_M = 1e-4  # points of a foot that are as low as the lowest one
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """A chain of hinges from the trunk to a foot."""
+
+    foot: str  # name of the body
+    body: int  # its id
+    joints: tuple[int, ...]  # ids of the hinges that move freely, from the hip down
+    # (3,) m, the centre of the foot's lowest ball, or its lowest point, in its own frame.
+    sole: FloatArray
+    radius: float  # m, of the ball; 0 of a point
+    # (3,) m, from the trunk's origin to the hinge that swings the leg fore and aft, in the start
+    # pose and the world's axes.
+    hip: FloatArray
+    neutral_y: float  # m, from the trunk's origin to the foot along y, likewise
+    length: float  # m, of the straight leg from this hinge to `sole`
+
+
+def find_legs(robot: PreparedRobot) -> tuple[Leg, ...]:
+    """Return the legs of a quadruped that looks along x: front left, front right, rear left, right.
+
+    A leg is a chain of bodies with at least three hinges below the trunk that holds a body that
+    touches the floor in the start pose; if these are not four, one that holds a key body. Raises
+    ConfigError if the robot has not four of them, two on each side.
+    """
+    by_contact = _feet(robot.model, robot.contact_bodies)
+    feet = by_contact
+    if len(feet) != NUM_LEGS:
+        feet = _feet(robot.model, robot.key_bodies)
+    if len(feet) != NUM_LEGS:
+        bodies = ", ".join(dict.fromkeys((*robot.contact_bodies, *robot.key_bodies)))
+        raise ConfigError(
+            f"has {len(by_contact)} legs of at least {_LEAST_HINGES} hinges, expected {NUM_LEGS}:"
+            f" a gait needs a quadruped; feet=[...] names its feet, sought among {bodies}"
+        )
+    legs = sorted((_leg(robot, foot) for foot in feet), key=lambda leg: -leg.hip[0])
+    front, rear = (sorted(pair, key=lambda leg: -leg.hip[1]) for pair in (legs[:2], legs[2:]))
+    if any(left.hip[1] <= 0 or right.hip[1] >= 0 for left, right in (front, rear)):
+        raise ConfigError(
+            f"the feet {', '.join(leg.foot for leg in (*front, *rear))} are not two pairs, left"
+            " and right of x: a gait needs a robot that looks along x, with y to its left and z"
+            " up; start_rotation=[x,y,z,w] turns it"
+        )
+    return (*front, *rear)
+
+
+def _feet(model: mujoco.MjModel, names: Sequence[str]) -> list[int]:
+    """Return the last of the named bodies on each leg."""
+    feet: dict[int, int] = {}
+    for foot in sorted(model.body(name).id for name in names):
+        chain = _chain(model, foot)
+        if len(free_joints(model, chain)) >= _LEAST_HINGES:
+            feet[chain[0]] = foot
+    return list(feet.values())
+
+
+def _chain(model: mujoco.MjModel, foot: int) -> list[int]:
+    """Return the bodies from the trunk, which is left out, to a foot; [] of the trunk itself."""
+    trunk = (model.body_weldid[1], 0)
+    chain = reversed(ancestors(model, foot))
+    return [body for body in chain if model.body_weldid[body] not in trunk]
+
+
+def _leg(robot: PreparedRobot, foot: int) -> Leg:
+    model, name = robot.model, robot.model.body(foot).name
+    joints = free_joints(model, _chain(model, foot))
+    if any(model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE for joint in joints):
+        raise ConfigError(f"the leg of '{name}' has a ball joint; gaits are made for hinges")
+    if len(joints) > _MOST_HINGES:
+        raise ConfigError(
+            f"the leg of '{name}' has {len(joints)} hinges, expected at most {_MOST_HINGES}; name a"
+            " body further up with feet=[...]"
+        )
+    centres, radii = find_sole(model, robot.start_qpos, name)
+    data = posed(model, robot.start_qpos)
+    lowest = centres[:, 2] - radii < (centres[:, 2] - radii).min() + _LOWEST_M
+    centre = data.xpos[foot] + centres[lowest].mean(axis=0)
+    places = data.xanchor[joints] - data.xpos[1]
+    swings = np.abs(data.xaxis[joints, 1]) > LATERAL
+    first = int(swings.argmax())  # the hip, if no joint swings fore and aft
+    end = centre - data.xpos[1]
+    return Leg(
+        foot=name,
+        body=foot,
+        joints=tuple(joints),
+        sole=data.xmat[foot].reshape(3, 3).T @ (centre - data.xpos[foot]),
+        radius=float(radii[lowest].max()),
+        hip=places[first],
+        neutral_y=float(end[1]),
+        length=float(np.linalg.norm(np.diff([*places[first:], end], axis=0), axis=1).sum()),
+    )
+
+
+class LegSolver:
+    """Solves the angles of a robot's legs, within the limits of their joints.
+
+    The first pose is near the robot's start pose; `knees` is one of `KNEES`, for legs that can bend
+    to both sides.
+    """
+
+    def __init__(self, robot: PreparedRobot, legs: tuple[Leg, ...], knees: str = KNEES[0]) -> None:
+        self._model, self._legs, self._knees = robot.model, legs, knees
+        self._data = mujoco.MjData(robot.model)
+        self._followers = Followers(robot.model)
+        self._start = self._posture = robot.start_qpos
+        limited = robot.model.jnt_limited.astype(bool)[:, None]
+        self._ranges = np.where(limited, robot.model.jnt_range, (-math.pi, math.pi))
+
+    def first_pose(self, root: FloatArray, places: FloatArray) -> npt.NDArray[np.float64]:
+        """Return the pose (nq,) nearest to the start pose that reaches the places.
+
+        Of bends to two sides that are about equally near, `knees` names one. `root` (7,) is the
+        trunk's position in m and quaternion wxyz; `places` (4, 3) m are of the legs' `sole` in the
+        world. Raises ConfigError if a foot cannot reach its place.
+        """
+        pose = self._start.copy()
+        pose[:7] = root
+        for leg, place in zip(self._legs, places, strict=True):
+            hinges = list(leg.joints)
+            columns = self._model.jnt_qposadr[hinges]
+            tried = []
+            for bends in itertools.product(_FIRST_BENDS_RAD, repeat=len(columns)):
+                pose[columns] = self._start[columns] + bends
+                error = self._reach(pose, leg, place)
+                change = float(np.abs(pose[columns] - self._start[columns]).max())
+                x = float(self._data.xanchor[hinges, 0].mean() - self._data.xpos[1, 0])
+                knee = {"behind": x, "ahead": -x, "inward": abs(x)}[self._knees]
+                rank = (error > TOLERANCE_M, round(change / _ALIKE_RAD), knee)
+                tried.append((*rank, error, pose[columns].copy()))
+            best = min(tried, key=lambda entry: entry[:-1])
+            pose[columns] = best[-1]
+        self._check(pose, places)
+        self._posture = pose.copy()
+        return pose
+
+    def next_pose(
+        self, last: FloatArray, root: FloatArray, places: FloatArray
+    ) -> npt.NDArray[np.float64]:
+        """Return the pose (nq,) that reaches the places, found from the pose before."""
+        pose = np.array(last, dtype=np.float64)
+        pose[:7] = root
+        for leg, place in zip(self._legs, places, strict=True):
+            self._reach(pose, leg, place)
+        self._check(pose, places)
+        return pose
+
+    def soles(self, pose: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Place the followers of a pose; return where the legs' `sole` are (4, 3) m, world."""
+        self._set(pose)
+        return np.stack([self._sole(leg) for leg in self._legs])
+
+    def _set(self, pose: npt.NDArray[np.float64]) -> None:
+        """Compute a pose's followers, in place, and its kinematics."""
+        pose[:] = self._followers.placed(pose)
+        self._data.qpos[:] = pose
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)  # for Jacobians
+
+    def _sole(self, leg: Leg) -> npt.NDArray[np.float64]:
+        return self._data.xpos[leg.body] + self._data.xmat[leg.body].reshape(3, 3).dot(leg.sole)
+
+    def _reach(self, pose: npt.NDArray[np.float64], leg: Leg, place: FloatArray) -> float:
+        """Turn a leg's joints until its sole is at a place; change `pose`, return the error in m.
+
+        A joint that meets its limit stays there for the rest of the step, the others go on. Hinges
+        to spare stay near the first pose, so that every stride is alike.
+        """
+        joints = list(leg.joints)
+        columns, dofs = self._model.jnt_qposadr[joints], self._model.jnt_dofadr[joints]
+        lower, upper = self._ranges[joints].T
+        pose[columns] = np.clip(pose[columns], lower, upper)
+        jacobian = np.zeros((3, self._model.nv))
+        for _ in range(_ITERATIONS):
+            self._set(pose)
+            error = place - self._sole(leg)
+            if np.linalg.norm(error) < 0.01 * TOLERANCE_M:
+                break
+            mujoco.mj_jac(self._model, self._data, jacobian, None, self._sole(leg), leg.body)
+            of_leg = self._followers.led(jacobian, pose)[:, dofs]
+            damped = of_leg @ of_leg.T + _DAMPING * np.eye(3)
+            step = of_leg.T @ np.linalg.solve(damped, error)
+            if len(joints) > _LEAST_HINGES:
+                pull = _PULL * (self._posture[columns] - pose[columns])
+                step += pull - np.linalg.pinv(of_leg) @ (of_leg @ pull)
+            step *= min(1.0, _LONGEST_STEP_RAD / max(float(np.abs(step).max()), 1e-12))
+            pose[columns] = np.clip(pose[columns] + step, lower, upper)
+        self._set(pose)
+        return float(np.linalg.norm(place - self._sole(leg)))
+
+    def _check(self, pose: npt.NDArray[np.float64], places: FloatArray) -> None:
+        """Place the followers of a pose and refuse a foot that does not reach its place."""
+        for leg, place, sole in zip(self._legs, places, self.soles(pose), strict=True):
+            error = float(np.linalg.norm(place - sole))
+            if error > TOLERANCE_M:
+                raise ConfigError(
+                    f"the foot '{leg.foot}' stays {error:.3g} m away from where the gait wants it,"
+                    f" {np.round(place - pose[:3], 3).tolist()} m from the trunk: its leg is too"
+                    " short, or a joint at its limit; change body_height, raise frequency, or lower"
+                    " speed or step_height"
+                )
+
 
 _log = logging.getLogger(__name__)
 
@@ -106,16 +332,10 @@ class GaitSettings:
 
 
 def make_gait(robot: PreparedRobot, settings: GaitSettings, name: str = "gait") -> JointClip:
-    """Return a gait straight ahead along x, whole strides; the last frame is the first one's pose.
+    """Return whole strides straight ahead along x; the last frame is the first one's pose.
 
-    Args:
-        robot: a quadruped.
-        settings: of the gait; `feet`, `start_rotation` and `overwrite` are of the command only.
-        name: of the clip.
-
-    Raises:
-        ConfigError: the robot has not four legs, a foot cannot reach its places, or a stride has
-            fewer than four frames.
+    Raises ConfigError if the robot has not four legs, a foot cannot reach its places, or a stride
+    has fewer than four frames.
     """
     legs = find_legs(robot)
     solver = LegSolver(robot, legs, settings.knees)
@@ -192,12 +412,7 @@ def _foot_places(
 
 
 def write_gait(source: str, out: str, settings: GaitSettings) -> Path:
-    """Make the gait of a robot's file and write it; return the path of the clip.
-
-    Raises:
-        UserError: the robot cannot be used, see `load_robot` and `make_gait`, or the output cannot
-            be written, or exists.
-    """
+    """Make the gait of a robot's file and write it; return the path of the clip."""
     path = Path(out)
     check_output(path, (".npz",), settings.overwrite)
     of_robot = RobotSettings(

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
@@ -26,36 +25,24 @@ INTERPOLATIONS = ("spline", "published")
 
 
 class MotionState(NamedTuple):
-    """States of n samples, float32 on the library's device; K key bodies.
+    """States of n samples, float32 on the library's device; K key bodies."""
 
-    Attributes:
-        root_pos: (n, 3) m, world.
-        root_rot: (n, 4), world.
-        dof_pos: (n, num_dofs) rad, rotation vectors of ball joints and angles of hinges.
-        root_vel: (n, 3) m/s, world.
-        root_ang_vel: (n, 3) rad/s, world.
-        dof_vel: (n, num_dofs) rad/s, rates of hinges' angles; of ball joints the angular velocity
-            in the child's frame.
-        key_pos: (n, K, 3) m, world.
-    """
-
-    root_pos: Tensor
-    root_rot: Tensor
-    dof_pos: Tensor
-    root_vel: Tensor
-    root_ang_vel: Tensor
+    root_pos: Tensor  # (n, 3) m, world
+    root_rot: Tensor  # (n, 4), world
+    dof_pos: Tensor  # (n, num_dofs) rad, rotation vectors of ball joints and angles of hinges
+    root_vel: Tensor  # (n, 3) m/s, world
+    root_ang_vel: Tensor  # (n, 3) rad/s, world
+    # (n, num_dofs) rad/s, rates of hinges' angles; of ball joints the angular velocity in the
+    # child's frame.
     dof_vel: Tensor
-    key_pos: Tensor
+    key_pos: Tensor  # (n, K, 3) m, world
 
 
 class Moments(NamedTuple):
-    """Times in clips.
+    """Times (n,) in clips: the frames before and after, among the frames of all clips.
 
-    Attributes:
-        row: (n,) number of the frame at or before each, among the frames of all clips.
-        next_row: (n,) of the frame after it; the same at the end of a clip.
-        blend: (n,) time since the first in frames; negative before the start of a clip.
-        frame_s: (n,) s, from one frame to the next.
+    At the end of a clip both are the same. `blend` is the time since the first, in frames; it is
+    negative before the start of a clip. `frame_s` is the time between two frames in s.
     """
 
     row: Tensor
@@ -64,36 +51,16 @@ class Moments(NamedTuple):
     frame_s: Tensor
 
 
-class Frames(Protocol):
-    """The frames of all clips of a library, on a device."""
+class Frames:
+    """The frames of all clips of a library, on a device; subclasses interpolate between them.
 
-    def states(self, at: Moments) -> MotionState:
-        """Return the states at n moments."""
-        ...
-
-    def body_pos(self, at: Moments) -> Tensor:
-        """Return the world positions (n, J, 3) m of all bodies at n moments."""
-        ...
-
-
-class PoseSplines:
-    """Cubic splines through the poses, twice continuously differentiable; velocities are theirs.
-
-    Splines go through the root's position, the angles of hinges, and the quaternions of the root
-    and of ball joints, which are scaled to unit length. They end "not-a-knot": no velocity is
-    assumed at the ends. Bodies are placed by the forward kinematics of the robot's model. Before
-    the start of a clip the pose goes on backwards at the first velocity; after the end the last
-    state is kept.
+    Joint groups are kept as rotations, or as angles, which may exceed pi.
 
     Args:
         clips: their bodies in the order of the skeleton.
-        skeleton: with a model.
+        skeleton: of the clips.
         key_ids: K body ids.
         device: of the tensors.
-
-    Raises:
-        ConfigError: the skeleton has no model.
-        MotionFileError: a clip's poses do not determine its joint angles.
     """
 
     def __init__(
@@ -103,26 +70,86 @@ class PoseSplines:
         key_ids: Sequence[int],
         device: torch.device,
     ) -> None:
-        if skeleton.model is None:
-            raise ConfigError(
-                "interpolation=spline: the skeleton has no model whose kinematics places the"
-                " bodies; read it with Skeleton.from_mjcf, or give interpolation=published"
-            )
-        self._device = device
-        self._skeleton = skeleton
-        self._joints = JointColumns(skeleton, with_angles=True)
-        self._dof_columns = torch.tensor(self._joints.columns, device=device)
+        self._skeleton, self._device = skeleton, device
         self._key_ids = torch.tensor(list(key_ids), dtype=torch.long, device=device)
+        self._with_angles = self._keeps_angles(clips)
+        self._turned: list[int] = []  # groups that are kept as rotations
+        self._hinges: list[int] = []  # groups that are kept as angles
+        self._angles: list[int] = []  # their DOFs
+        places = [0] * skeleton.num_dofs
+        for group, (start, end) in enumerate(itertools.pairwise(skeleton.dof_offsets)):
+            if self._with_angles and end - start == 1:
+                places[start] = len(self._angles)
+                self._hinges.append(group)
+                self._angles.append(start)
+                continue
+            # Hinges kept as rotations are about y: the second of the three.
+            components = range(3) if end - start == 3 else (1,)
+            places[start:end] = [3 * len(self._turned) + i for i in components]
+            self._turned.append(group)
+        shift = 3 * len(self._turned)
+        # Where the DOFs are among the rotation vectors, which the angles follow.
+        self._columns = [
+            shift + place if dof in self._angles else place for dof, place in enumerate(places)
+        ]
+        self._dof_columns = torch.tensor(self._columns, device=device)
+
+    def _keeps_angles(self, clips: Sequence[MotionClip]) -> bool:
+        raise NotImplementedError
+
+    def states(self, at: Moments) -> MotionState:
+        """Return the states at n moments."""
+        raise NotImplementedError
+
+    def body_pos(self, at: Moments) -> Tensor:
+        """Return the world positions (n, J, 3) m of all bodies at n moments."""
+        raise NotImplementedError
+
+    def _joint_poses(self, clip: MotionClip) -> tuple[FloatArray, FloatArray]:
+        """Return the angles (T, H) rad and the rotations (T, R, 4) xyzw of a clip's joints."""
+        if not self._with_angles:
+            turns = clip.local_rotation[:, list(self._skeleton.dof_body_ids)]
+            return np.zeros((clip.num_frames, 0)), turns
+        dofs = dofs_of_clip(self._skeleton, clip)
+        turns = joint_rotations(self._skeleton, dofs).numpy()[:, self._turned]
+        angles = dofs[:, self._angles]
+        # Angles read off rotations are within pi.
+        return (np.unwrap(angles, axis=0) if clip.dof_pos is None else angles), turns
+
+    def _tensor(self, rows: Sequence[FloatArray]) -> Tensor:
+        return torch.from_numpy(np.concatenate(rows)).float().to(self._device)
+
+
+class PoseSplines(Frames):
+    """Cubic splines through the poses, twice continuously differentiable; velocities are theirs.
+
+    Splines go through the root's position, the angles of hinges, and the quaternions of the root
+    and of ball joints, which are scaled to unit length. They end "not-a-knot": no velocity is
+    assumed at the ends. Bodies are placed by the forward kinematics of the robot's model. Before
+    the start of a clip the pose goes on backwards at the first velocity; after the end the last
+    state is kept.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[MotionClip],
+        skeleton: Skeleton,
+        key_ids: Sequence[int],
+        device: torch.device,
+    ) -> None:
+        super().__init__(clips, skeleton, key_ids, device)
         self._bodies = BodyPoses(skeleton)
-        rows = [self._rows_of(clip) for clip in clips]
         # (frames, 2, columns): values, and their changes from one frame to the next.
-        self._rows = torch.from_numpy(np.concatenate(rows)).float().to(device)
+        self._rows = self._tensor([self._rows_of(clip) for clip in clips])
+
+    def _keeps_angles(self, clips: Sequence[MotionClip]) -> bool:
+        return True
 
     def _rows_of(self, clip: MotionClip) -> FloatArray:
         """Return (T, 2, columns): root position, angles of hinges, quaternions; their slopes."""
         from scipy.interpolate import CubicSpline  # tasks without clips start sooner
 
-        angles, turns = self._joints.poses(clip)
+        angles, turns = self._joint_poses(clip)
         turns = np.concatenate((clip.local_rotation[:, :1], turns), axis=1).astype(np.float64)
         # A quaternion and its negative are the same rotation; a spline needs neighbours.
         is_other_side = (turns[1:] * turns[:-1]).sum(axis=-1) < 0.0
@@ -135,7 +162,7 @@ class PoseSplines:
     def states(self, at: Moments) -> MotionState:
         """Return the states at n moments."""
         values, rates = self._on_splines(at)
-        num_angles = len(self._joints.angles)
+        num_angles = len(self._angles)
         root_pos, angles, turns = values.split([3, num_angles, values.shape[1] - 3 - num_angles], 1)
         root_vel, angle_rates, turn_rates = rates.split([3, num_angles, turns.shape[1]], dim=1)
         turns, turn_rates = turns.unflatten(1, (-1, 4)), turn_rates.unflatten(1, (-1, 4))
@@ -179,21 +206,21 @@ class PoseSplines:
 
     def _place_bodies(self, values: Tensor) -> Tensor:
         """Return the positions (n, J, 3) m of all bodies by forward kinematics."""
-        n, first_turn = len(values), 3 + len(self._joints.angles)
+        n, first_turn = len(values), 3 + len(self._angles)
         values = values.cpu()
         rows = values.numpy()
         turns = rotations.wxyz_from_xyzw(values[:, first_turn:].reshape(n, -1, 4)).numpy()
         addresses = self._skeleton.qpos_addresses
         qpos = np.empty((n, addresses[-1]), dtype=np.float32)
         qpos[:, :3], qpos[:, 3:7] = rows[:, :3], turns[:, 0]
-        for place, group in enumerate(self._joints.turned, start=1):
+        for place, group in enumerate(self._turned, start=1):
             qpos[:, addresses[group] : addresses[group + 1]] = turns[:, place]
-        qpos[:, [addresses[group] for group in self._joints.hinges]] = rows[:, 3:first_turn]
+        qpos[:, [addresses[group] for group in self._hinges]] = rows[:, 3:first_turn]
         positions, _ = self._bodies.at(qpos)
         return torch.from_numpy(positions).permute(2, 1, 0).to(self._device)
 
 
-class PublishedFrames:
+class PublishedFrames(Frames):
     """Between frames as the AMP and ASE motion libraries.
 
     Positions, key bodies among them, are interpolated linearly in the world and rotations as
@@ -203,12 +230,6 @@ class PublishedFrames:
 
     Ball joints are kept as rotations. So are hinges of the shipped humanoids, as in the original;
     hinges of other skeletons, and all if a clip has `dof_pos`, by their angles.
-
-    Args:
-        clips: their bodies in the order of the skeleton.
-        skeleton: of the clips.
-        key_ids: K body ids.
-        device: of the tensors.
     """
 
     def __init__(
@@ -218,19 +239,18 @@ class PublishedFrames:
         key_ids: Sequence[int],
         device: torch.device,
     ) -> None:
-        has_dofs = any(clip.dof_pos is not None for clip in clips)
-        self._joints = JointColumns(
-            skeleton, with_angles=has_dofs or not skeleton.has_simple_joints
-        )
-        self._dof_columns = torch.tensor(self._joints.columns, device=device)
+        super().__init__(clips, skeleton, key_ids, device)
         self._num_positions = 1 + len(key_ids)
         frames, body_pos = [], []
         for clip in clips:
             positions, _ = clip.global_poses()
             body_pos.append(positions)
             frames.append(self._rows_of(clip, positions[:, [0, *key_ids]]))
-        self._rows = torch.from_numpy(np.concatenate(frames)).float().to(device)
-        self._body_pos = torch.from_numpy(np.concatenate(body_pos)).float().to(device)
+        self._rows, self._body_pos = self._tensor(frames), self._tensor(body_pos)
+
+    def _keeps_angles(self, clips: Sequence[MotionClip]) -> bool:
+        has_dofs = any(clip.dof_pos is not None for clip in clips)
+        return has_dofs or not self._skeleton.has_simple_joints
 
     def _rows_of(self, clip: MotionClip, positions: FloatArray) -> FloatArray:
         """Return the frames (T, columns): positions, angles of joints, rotations, velocities.
@@ -238,7 +258,7 @@ class PublishedFrames:
         `positions` (T, 1 + K, 3) m belong to the root and the key bodies. The rotations are the
         root's and the joints', the velocities the root's and the DOFs'.
         """
-        angles, turns = self._joints.poses(clip)
+        angles, turns = self._joint_poses(clip)
         rates = np.diff(angles, axis=0) * clip.fps
         turning = kinematics.joint_velocities(turns, clip.fps).reshape(clip.num_frames, -1)
         dof_vel = np.concatenate((turning, np.concatenate((rates, rates[-1:]))), axis=1)
@@ -249,7 +269,7 @@ class PublishedFrames:
             turns,
             clip.linear_velocity_w[:, 0],
             clip.angular_velocity_w[:, 0],
-            dof_vel[:, self._joints.columns],
+            dof_vel[:, self._columns],
         )
         return np.concatenate([part.reshape(clip.num_frames, -1) for part in parts], axis=-1)
 
@@ -257,9 +277,9 @@ class PublishedFrames:
         """Return the states at n moments."""
         frame = self._rows.index_select(0, at.row)
         next_frame = self._rows.index_select(0, at.next_row)
-        num_rotations = 1 + len(self._joints.turned)
-        num_lerped = 3 * self._num_positions + len(self._joints.angles)
-        sizes = [num_lerped, 4 * num_rotations, 3, 3, len(self._joints.columns)]
+        num_rotations = 1 + len(self._turned)
+        num_lerped = 3 * self._num_positions + len(self._angles)
+        sizes = [num_lerped, 4 * num_rotations, 3, 3, len(self._columns)]
         lerped, turns, root_vel, root_ang_vel, dof_vel = frame.split(sizes, dim=-1)
         next_lerped, next_turns = next_frame.split(sizes, dim=-1)[:2]
 
@@ -269,7 +289,7 @@ class PublishedFrames:
         next_turns = next_turns.unflatten(-1, (num_rotations, 4))
         turns = rotations.slerp(turns, next_turns, at.blend.view(-1, 1, 1))
         joint_vectors = rotations.quat_to_exp_map(turns[:, 1:]).flatten(1)
-        if self._joints.angles:
+        if self._angles:
             angles = lerped[:, 3 * self._num_positions :]
             joint_vectors = torch.cat((joint_vectors, angles), dim=-1)
         return MotionState(
@@ -288,57 +308,7 @@ class PublishedFrames:
         return torch.lerp(before, after, at.blend.view(-1, 1, 1))
 
 
-FRAMES: dict[str, type[PoseSplines] | type[PublishedFrames]] = dict(
+FRAMES: dict[str, type[Frames]] = dict(
     zip(INTERPOLATIONS, (PoseSplines, PublishedFrames), strict=True)
 )
 """The kinds of frames by their names in `task.env.clipInterpolation`."""
-
-
-class JointColumns:
-    """How joints are kept: some groups as rotations, the others by their angles.
-
-    Args:
-        skeleton: its joint groups.
-        with_angles: keep hinges by their angles, which may exceed pi; else as rotations about y.
-
-    Attributes:
-        skeleton: see above.
-        turned: groups that are kept as rotations.
-        hinges: groups that are kept as angles.
-        angles: their DOFs.
-        columns: (num_dofs,) where the DOFs are among the three components of the vectors of
-            `turned`, followed by `angles`.
-    """
-
-    def __init__(self, skeleton: Skeleton, with_angles: bool) -> None:
-        self.skeleton = skeleton
-        self.turned: list[int] = []
-        self.hinges: list[int] = []
-        self.angles: list[int] = []
-        starts = [0] * skeleton.num_dofs
-        for group, (start, end) in enumerate(itertools.pairwise(skeleton.dof_offsets)):
-            if with_angles and end - start == 1:
-                starts[start] = len(self.angles)
-                self.hinges.append(group)
-                self.angles.append(start)
-                continue
-            # Hinges kept as rotations are about y: the second of the three.
-            components = range(3) if end - start == 3 else (1,)
-            starts[start:end] = [3 * len(self.turned) + i for i in components]
-            self.turned.append(group)
-        shift = 3 * len(self.turned)
-        self.columns = [
-            shift + place if dof in self.angles else place for dof, place in enumerate(starts)
-        ]
-        self.with_angles = with_angles
-
-    def poses(self, clip: MotionClip) -> tuple[FloatArray, FloatArray]:
-        """Return the angles (T, H) rad and the rotations (T, R, 4) xyzw of a clip's joints."""
-        if not self.with_angles:
-            turns = clip.local_rotation[:, list(self.skeleton.dof_body_ids)]
-            return np.zeros((clip.num_frames, 0)), turns
-        dofs = dofs_of_clip(self.skeleton, clip)
-        turns = joint_rotations(self.skeleton, dofs).numpy()[:, self.turned]
-        angles = dofs[:, self.angles]
-        # Angles read off rotations are within pi.
-        return (np.unwrap(angles, axis=0) if clip.dof_pos is None else angles), turns

@@ -96,24 +96,13 @@ def joint_velocities(local_rotation: FloatArray, fps: float) -> FloatArray:
     return np.concatenate((velocities, velocities[-1:]))
 
 
-def lowest_point_height(
-    body_ids: Sequence[int], points: FloatArray, positions: FloatArray, rotation: FloatArray
-) -> float:
-    """Return the lowest world z (m) that any of `points` reaches in any frame.
-
-    Args:
-        body_ids: K body ids, the bodies that the points belong to.
-        points: (K, 3) m, in the frames of their bodies.
-        positions: (T, J, 3) m, world positions of the bodies.
-        rotation: (T, J, 4), world rotations of the bodies.
-    """
-    return float(world_points(body_ids, points, positions, rotation)[..., 2].min())
-
-
 def world_points(
     body_ids: Sequence[int], points: FloatArray, positions: FloatArray, rotation: FloatArray
 ) -> FloatArray:
-    """Return the world positions (T, K, 3) m of points on bodies; see `lowest_point_height`."""
+    """Return the world positions (T, K, 3) m of points (K, 3) m in the frames of K bodies.
+
+    Positions (T, J, 3) m and rotations (T, J, 4) of all bodies are in the world.
+    """
     ids = list(body_ids)
     turns = _tensor(rotation)[:, ids]
     offsets = rotations.quat_apply(turns, _tensor(points).expand(*turns.shape[:-1], 3))

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+import logging
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from isaacgymenvs_lite import paths
-from isaacgymenvs_lite.errors import MotionFileError, suggest
-from isaacgymenvs_lite.motion.body_order import RETARGET_HINT, ROBOT_HINT, fit_to_skeleton
-from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.dataset import read_dataset
+from isaacgymenvs_lite.errors import ConfigError, MotionFileError, listed, suggest
+from isaacgymenvs_lite.motion.clip import MotionClip, QuatOrder
 from isaacgymenvs_lite.motion.formats import deepmimic
-from isaacgymenvs_lite.motion.formats.deepmimic_package import (
+from isaacgymenvs_lite.motion.formats.deepmimic import (
     PREFIX,
     find_in_package,
     is_package_name,
@@ -28,22 +32,44 @@ from isaacgymenvs_lite.motion.formats.robot_clip import (
     several_motions,
     split_motion,
 )
-from isaacgymenvs_lite.motion.joint_clip import QuatOrder
-from isaacgymenvs_lite.motion.qpos import clip_from_qpos, qpos_from_clip, qpos_from_dofs
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.qpos import (
+    clip_from_qpos,
+    qpos_from_clip,
+    qpos_from_dofs,
+    rotations_from_dofs,
+    turned_by_joints,
+)
 from isaacgymenvs_lite.motion.skeleton import (
     SHIPPED_NUM_DOFS,
     Skeleton,
     shipped_humanoid_with,
     skeleton_for_num_dofs,
 )
+from isaacgymenvs_lite.schema import read_section, setting
+from isaacgymenvs_lite.utils.yaml_file import load_yaml
 
+_log = logging.getLogger(__name__)
+
+# What to do with a clip of a robot, and with one of a humanoid, where the other is expected.
+ROBOT_HINT = "a clip of a robot needs task=RobotAMP in training, robot=FILE in the clip commands"
+RETARGET_HINT = "retarget it with isaacgymenvs-lite convert IN OUT.npz robot=FILE"
+# Offsets in files are rounded to 1e-4 m; beyond this the clip was made for another body.
+_OFFSET_TOLERANCE_M = 0.01
+# A knee or elbow that turns this far out of its axis (0.6 deg) loses visible motion.
+_HINGE_TOLERANCE_RAD = 0.01
+# Between frames, coordinates and poses that were interpolated each for itself differ by less.
+_DOF_TOLERANCE_RAD = 0.05
+# Beyond any recorded person; a clip in centimetres, or one with frames that are missing, is.
+_USUAL_PLACE_M, _USUAL_SPEED_M_S, _USUAL_SPEED_RAD_S = 1_000.0, 60.0, 300.0
 _DATASET_SUFFIXES = (".yaml", ".yml")
 # Tried in this order behind a name without suffix.
 _GUESSED_SUFFIXES = (".npz", ".npy", ".yaml", ".json")
 _CONVERT = "isaacgymenvs-lite convert IN.bvh OUT.npz"
+_EXAMPLE = 'expected `motions:` with a list of `- {file: "clip.npz", weight: 0.5}`'
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class JointFileSettings:
     """What a user says about a file of a robot's joint coordinates."""
 
@@ -90,10 +116,10 @@ def load_clips(
     Args:
         motion_file: a path (absolute or relative to the working directory), the name of a shipped
             clip, or `deepmimic:<name>`. `.yaml` and some names of DeepMimic's are data sets, all
-            others are clips with weight 1: `.npz`, `.npy` and `.json` of poselib, `.txt` and
-            `.json` of DeepMimic, `.csv` of joint angles, and files of robots' joint coordinates
-            (`formats.robot_clip`), of which `.pkl` and `.npy` may hold several motions:
-            `FILE:MOTION` is one of them.
+            others are clips: `.npz`, `.npy` and `.json` of poselib, `.txt` and `.json` of
+            DeepMimic, `.csv` of joint angles, and files of robots' joint coordinates
+            (`formats.robot_clip`), of which `.pkl` and `.npy` may hold several motions of equal
+            weight: `FILE:MOTION` is one of them.
         skeleton: the humanoid; the bodies of the clips are reordered to match it. By default the
             one with 28 degrees of freedom.
 
@@ -102,34 +128,22 @@ def load_clips(
             another humanoid.
     """
     skeleton = skeleton or skeleton_for_num_dofs(28)
-    if is_package_name(motion_file):
-        return _load_from_package(str(motion_file), _humanoid_of([skeleton], motion_file))
-    path = resolve_motion_file(motion_file, (Path(), *_shipped_dirs()))
-    if path.suffix not in _DATASET_SUFFIXES:
-        return [(clip, 1.0) for clip, _ in _load_file(path, (skeleton,))]
+    found = resolve_motion_file(motion_file)
+    if Path(found).suffix not in _DATASET_SUFFIXES:
+        return [(clip, weight) for clip, _, weight in _load(found, (skeleton,))]
     # Each file of a data set is read once.
     clips: list[tuple[MotionClip, float]] = []
-    known: dict[str, list[tuple[MotionClip, float]]] = {}
-    for i, entry in enumerate(read_dataset(path)):
+    known: dict[str, list[tuple[MotionClip, Skeleton, float]]] = {}
+    for i, entry in enumerate(read_dataset(found)):
         try:
             if entry.file not in known:
-                known[entry.file] = _load_entry(entry.file, path.parent, skeleton)
+                known[entry.file] = _load(
+                    resolve_motion_file(entry.file, [Path(found).parent]), (skeleton,)
+                )
         except MotionFileError as error:
-            raise MotionFileError(f"{path}: motions[{i}]: {error}") from error
-        clips.extend((clip, entry.weight * weight) for clip, weight in known[entry.file])
+            raise MotionFileError(f"{found}: motions[{i}]: {error}") from error
+        clips.extend((clip, entry.weight * weight) for clip, _, weight in known[entry.file])
     return clips
-
-
-def _shipped_dirs() -> tuple[Path, Path]:
-    return shipped_motions_dir(), shipped_robot_motions_dir()
-
-
-def _load_entry(name: str, folder: Path, skeleton: Skeleton) -> list[tuple[MotionClip, float]]:
-    """Return the clips of an entry of a data set in `folder`, and their shares of its weight."""
-    if is_package_name(name):
-        return _load_from_package(name, _humanoid_of([skeleton], name))
-    loaded = _load_file(resolve_motion_file(name, (folder, *_shipped_dirs())), (skeleton,))
-    return [(clip, 1.0 / len(loaded)) for clip, _ in loaded]
 
 
 def load_single_clip(
@@ -137,54 +151,42 @@ def load_single_clip(
     skeletons: Sequence[Skeleton] = (),
     joint_file: JointFileSettings = _AS_IN_THE_FILE,
 ) -> tuple[MotionClip, Skeleton]:
-    """Read one clip of any of the humanoids, or of a robot.
+    """Read one clip of any of the humanoids, or of a robot; return it with its skeleton.
 
     Args:
         motion_file: as in `load_clips`, but no data set.
         skeletons: those that the clip may belong to, by default all shipped humanoids. A robot's
             file of joint coordinates is read for the first, DeepMimic's for the first humanoid.
         joint_file: about a file of joint coordinates.
-
-    Returns:
-        The clip, with its bodies in the order of its skeleton, and the skeleton.
-
-    Raises:
-        MotionFileError: as in `load_clips`, or the file is a data set.
     """
     skeletons = skeletons or [skeleton_for_num_dofs(number) for number in SHIPPED_NUM_DOFS]
-    if is_package_name(motion_file):
-        humanoid = _humanoid_of(skeletons, motion_file)
-        clips = _load_from_package(str(motion_file), humanoid)
-        if len(clips) > 1:
-            raise MotionFileError(f"'{motion_file}' is a data set of {len(clips)} clips; give one")
-        return clips[0][0], humanoid
-    path = resolve_motion_file(motion_file, (Path(), *_shipped_dirs()))
-    if path.suffix in _DATASET_SUFFIXES:
-        raise MotionFileError(f"{path}: is a data set; give one of its clips")
-    loaded = _load_file(path, skeletons, joint_file)
+    found = resolve_motion_file(motion_file)
+    if Path(found).suffix in _DATASET_SUFFIXES:
+        raise MotionFileError(f"{found}: is a data set; give one of its clips")
+    loaded = _load(found, skeletons, joint_file)
+    if len(loaded) > 1 and is_package_name(found):
+        raise MotionFileError(f"'{found}' is a data set of {len(loaded)} clips; give one")
     if len(loaded) > 1:
-        raise MotionFileError(several_motions(path, [clip.name for clip, _ in loaded]))
-    return loaded[0]
+        raise MotionFileError(several_motions(found, [clip.name for clip, _, _ in loaded]))
+    return loaded[0][:2]
 
 
-def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
-    """Return the path of the motion file `name`.
+def resolve_motion_file(name: str | Path, folders: Sequence[Path] = (Path(),)) -> str:
+    """Return the path of a motion file, whose suffix may be left out; a name in the package stays.
 
-    Args:
-        name: an absolute path, or one relative to one of `search_dirs`; the suffix may be left out.
-            `FILE:MOTION` is returned with the motion.
-        search_dirs: the folders to look in, in this order.
-
-    Raises:
-        MotionFileError: there is no such file; the message lists the folders and the shipped clips.
+    A relative path is sought in the folders and among the shipped clips. `FILE:MOTION` is returned
+    with the motion. Raises MotionFileError if there is none.
     """
-    folders = [Path()] if Path(name).is_absolute() else search_dirs
+    if is_package_name(name):
+        return str(name)
+    folders = [*folders, shipped_motions_dir(), shipped_robot_motions_dir()]
+    folders = [Path()] if Path(name).is_absolute() else folders
     with reading(name, "name of a motion file"):
         for folder in folders:
             for suffix in ("", *_GUESSED_SUFFIXES):
                 path = folder / f"{name}{suffix}"
                 if path.is_file() or Path(split_motion(path)[0]).is_file():
-                    return path
+                    return str(path)
     looked = " and ".join(dict.fromkeys(str(folder.absolute()) for folder in folders))
     where = "" if Path(name).is_absolute() else f" in {looked}"
     shipped, of_robots = shipped_motions(), shipped_robot_motions()
@@ -195,21 +197,10 @@ def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
     )
 
 
-def _load_from_package(name: str, skeleton: Skeleton) -> list[tuple[MotionClip, float]]:
-    """Read the clip or the data set `deepmimic:<name>`."""
-    return [
-        (deepmimic.load_deepmimic(clip.path, skeleton, clip.name), clip.weight)
-        for clip in find_in_package(name)
-    ]
-
-
 def _humanoid_of(skeletons: Sequence[Skeleton], motion_file: str | Path) -> Skeleton:
     """Return the first humanoid that has the bodies and joints of DeepMimic's clips.
 
     Robots may have the same bodies, as dm_control's humanoid, with other joints.
-
-    Raises:
-        MotionFileError: all are skeletons of robots.
     """
     for skeleton in skeletons:
         has_bodies = set(deepmimic.MOVED_BODIES) <= set(skeleton.body_names)
@@ -218,19 +209,23 @@ def _humanoid_of(skeletons: Sequence[Skeleton], motion_file: str | Path) -> Skel
     raise MotionFileError(f"{motion_file}: is a DeepMimic clip of the humanoid; {RETARGET_HINT}")
 
 
-def _load_file(
-    path: Path, skeletons: Sequence[Skeleton], joint_file: JointFileSettings = _AS_IN_THE_FILE
-) -> list[tuple[MotionClip, Skeleton]]:
-    """Read the clips of a file by its suffix, each for the skeleton that has its bodies.
-
-    A robot's file of joint coordinates is read for the first.
-    """
+def _load(
+    found: str, skeletons: Sequence[Skeleton], joint_file: JointFileSettings = _AS_IN_THE_FILE
+) -> list[tuple[MotionClip, Skeleton, float]]:
+    """Read what `resolve_motion_file` found: clips, their skeletons, and weights whose sum is 1."""
+    if is_package_name(found):
+        humanoid = _humanoid_of(skeletons, found)
+        return [
+            (deepmimic.load_deepmimic(clip.path, humanoid, clip.name), humanoid, clip.weight)
+            for clip in find_in_package(found)
+        ]
+    path = Path(found)
     suffix = Path(split_motion(path)[0]).suffix
     # A robot's joints may have the names of the humanoid's.
     is_robots = suffix == ".csv" and not skeletons[0].has_simple_joints
     if is_robots or looks_like_joint_clip(path):
         clips = _clips_of_joints(path, skeletons[0], joint_file)
-        return [(clip, skeletons[0]) for clip in clips]
+        return [(clip, skeletons[0], 1.0 / len(clips)) for clip in clips]
     if joint_file != _AS_IN_THE_FILE:
         raise MotionFileError(
             f"{path}: is no robot's file of joint coordinates, which is what file_fps=, quat_order="
@@ -257,7 +252,7 @@ def _load_file(
         clip = fit_to_skeleton(clip, skeleton)
         if skeleton.followers is not None:
             clip = clip_from_qpos(clip.name, clip.fps, skeleton, qpos_from_clip(skeleton, clip))
-        return [(clip, skeleton)]
+        return [(clip, skeleton, 1.0)]
 
 
 def _clips_of_joints(
@@ -292,3 +287,195 @@ def _load_json(path: Path, skeletons: Sequence[Skeleton]) -> MotionClip:
         deepmimic.check_columns(data, str(path))
         return deepmimic.clip_from_deepmimic(data, _humanoid_of(skeletons, path), str(path))
     return clip_from_poselib(data, str(path))
+
+
+@dataclass(frozen=True)
+class _Dataset:
+    """The file."""
+
+    motions: list[Any] = setting(min_length=1)
+
+
+@dataclass(frozen=True)
+class DatasetEntry:
+    """One clip of a data set: its file as written there, and its weight (not normalised)."""
+
+    file: str = setting()
+    weight: float = setting(minimum=0, maximum=1e12)
+
+
+def read_dataset(path: str | Path) -> list[DatasetEntry]:
+    """Read the entries of the data set at `path`, in the order of the file."""
+    with reading(path, "data set of clips"):
+        try:
+            data = load_yaml(Path(path))
+        except ConfigError as error:
+            raise MotionFileError(f"{error}; {_EXAMPLE}") from error
+        try:
+            motions = read_section(_Dataset, data, "", complete=True).motions
+            entries = [
+                read_section(DatasetEntry, entry, f"motions[{i}]", complete=True)
+                for i, entry in enumerate(motions)
+            ]
+        except ConfigError as error:
+            raise MotionFileError(f"{path}: {error}; {_EXAMPLE}") from error
+        if sum(entry.weight for entry in entries) <= 0.0:
+            raise MotionFileError(f"{path}: all {len(entries)} weights are 0, expected one above 0")
+        return entries
+
+
+def fit_to_skeleton(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
+    """Return the clip with its bodies in the order of `skeleton`.
+
+    Logs a warning when hinge joints (knees, elbows) rotate about other axes than their own, as that
+    part of the motion is dropped, when the clip was made for a body of other dimensions, when joint
+    coordinates and poses disagree, and when it is faster, or farther away, than people are. Raises
+    MotionFileError if it is a clip of another skeleton.
+    """
+    _refuse_other_bodies(clip, skeleton)
+    clip = _reorder(clip, skeleton)
+    _warn_of_other_offsets(clip, skeleton)
+    if clip.dof_pos is None:
+        _warn_of_hinge_violation(clip, skeleton)
+    else:
+        _check_dofs(clip, clip.dof_pos, skeleton)
+    _warn_of_odd_values(clip)
+    return clip
+
+
+def _refuse_other_bodies(clip: MotionClip, skeleton: Skeleton) -> None:
+    missing = [name for name in skeleton.body_names if name not in clip.body_names]
+    extra = [name for name in clip.body_names if name not in skeleton.body_names]
+    if not missing and not extra:
+        return
+    is_humanoid = shipped_humanoid_with(skeleton.body_names) is not None
+    found = [f"lacks {listed(missing)}"] if missing else []
+    found += [f"also has {listed(extra)}"] if extra else []
+    whose = "humanoid" if is_humanoid else "robot"
+    bodies = ", ".join(skeleton.body_names) if is_humanoid else listed(skeleton.body_names)
+    other = shipped_humanoid_with(clip.body_names)
+    if other:
+        use = f"use task.env.asset.assetFileName={other} or another clip"
+        advice = f"it is a clip of {other}: {use if is_humanoid else RETARGET_HINT}"
+    else:
+        is_robots = is_humanoid and clip.dof_pos is not None
+        advice = ROBOT_HINT if is_robots else f"use a clip of this {whose}"
+    raise MotionFileError(
+        f"{clip.name}: its skeleton {' and '.join(found)}; expected the {skeleton.num_bodies} "
+        f"bodies of the {whose}: {bodies}; {advice}"
+    )
+
+
+def _reorder(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
+    """Sort the bodies by name and check that they are connected as in the skeleton."""
+    order = [clip.body_names.index(name) for name in skeleton.body_names]
+    for body, name in enumerate(skeleton.body_names):
+        parent = _parent_name(clip.body_names, clip.parent_indices[order[body]])
+        expected = _parent_name(skeleton.body_names, skeleton.parent_indices[body])
+        if parent != expected:
+            raise MotionFileError(
+                f"{clip.name}: the parent of '{name}' is {parent}, expected {expected}"
+            )
+    if order == list(range(skeleton.num_bodies)):
+        return clip
+    if clip.dof_pos is not None:
+        raise MotionFileError(
+            f"{clip.name}: its bodies have another order than the model's, so that its joint"
+            " coordinates (dof_pos) belong to other joints; expected "
+            + ", ".join(skeleton.body_names)
+        )
+    _log.info("%s: bodies reordered as in the humanoid", clip.name)
+    return dataclasses.replace(
+        clip,
+        body_names=skeleton.body_names,
+        parent_indices=skeleton.parent_indices,
+        local_translation=clip.local_translation[..., order, :],
+        local_rotation=clip.local_rotation[:, order],
+        linear_velocity_w=clip.linear_velocity_w[:, order],
+        angular_velocity_w=clip.angular_velocity_w[:, order],
+    )
+
+
+def _parent_name(names: tuple[str, ...], parent: int) -> str:
+    return "the world" if parent < 0 else f"'{names[parent]}'"
+
+
+def _warn_of_other_offsets(clip: MotionClip, skeleton: Skeleton) -> None:
+    # The root's offset does not count: it is only the position of the character in its file.
+    difference = np.linalg.norm(clip.local_translation - skeleton.local_translation, axis=-1)
+    # Bodies whose joints are beside their origins move in their parents.
+    anchored = np.array(skeleton.dof_body_ids, dtype=int)[skeleton.joint_anchors.any(axis=1)]
+    difference[..., anchored] = 0.0
+    difference = difference.reshape(-1, skeleton.num_bodies).max(axis=0)[1:]
+    if difference.max() > _OFFSET_TOLERANCE_M:
+        body = int(difference.argmax()) + 1
+        _log.warning(
+            "%s: made for a body of other dimensions: the offset of '%s' differs by %.3f m from "
+            "the humanoid's; feet may sink or slide",
+            clip.name,
+            skeleton.body_names[body],
+            difference[body - 1],
+        )
+
+
+def _warn_of_odd_values(clip: MotionClip) -> None:
+    for what, values, usual, unit in (
+        ("the root is", clip.root_translation, _USUAL_PLACE_M, "m from the origin"),
+        ("a body moves at", clip.linear_velocity_w, _USUAL_SPEED_M_S, "m/s"),
+        ("a body rotates at", clip.angular_velocity_w, _USUAL_SPEED_RAD_S, "rad/s"),
+    ):
+        largest = float(np.linalg.norm(values, axis=-1).max())
+        if largest > usual:
+            _log.warning(
+                "%s: %s up to %.4g %s; are units and fps right?", clip.name, what, largest, unit
+            )
+
+
+def _warn_of_hinge_violation(clip: MotionClip, skeleton: Skeleton) -> None:
+    try:
+        turns = turned_by_joints(skeleton, clip.local_rotation).numpy()
+    except MotionFileError as error:
+        raise MotionFileError(f"{clip.name}: {error}") from error
+    groups = [group for group, size in enumerate(skeleton.dof_sizes) if size == 1]
+    if not groups:
+        return
+    hinges = [skeleton.dof_body_ids[group] for group in groups]
+    # The part of the quaternion's vector across the axis is the sine of half the angle between the
+    # axis and its image.
+    off_axis = np.linalg.norm(np.cross(turns[:, hinges, :3], skeleton.joint_axes[groups]), axis=-1)
+    frame, hinge = (int(i) for i in np.unravel_index(off_axis.argmax(), off_axis.shape))
+    angle_rad = 2.0 * math.asin(min(float(off_axis[frame, hinge]), 1.0))
+    if angle_rad > _HINGE_TOLERANCE_RAD:
+        _log.warning(
+            "%s: '%s' is a hinge about %s but turns %.3f rad out of that axis in frame %d; "
+            "that part of the motion is dropped",
+            clip.name,
+            skeleton.body_names[hinges[hinge]],
+            "({:.3g}, {:.3g}, {:.3g})".format(*skeleton.joint_axes[groups[hinge]]),
+            angle_rad,
+            frame,
+        )
+
+
+def _check_dofs(clip: MotionClip, dofs: FloatArray, skeleton: Skeleton) -> None:
+    """Refuse joint coordinates of another number; warn where they give other poses."""
+    if dofs.shape[1] != skeleton.num_dofs:
+        raise MotionFileError(
+            f"{clip.name}: dof_pos has {dofs.shape[1]} columns, expected the {skeleton.num_dofs} "
+            f"degrees of freedom of the model: {', '.join(skeleton.dof_names)}"
+        )
+    turns = rotations_from_dofs(skeleton, clip.local_rotation[:, 0], dofs)
+    # |a - b| or |a + b| of unit quaternions is 2 sin(angle / 4), angle from one to the other.
+    stored = np.asarray(clip.local_rotation, dtype=np.float64)
+    sines = [np.linalg.norm(turns + sign * stored, axis=-1) / 2.0 for sign in (-1.0, 1.0)]
+    difference = 4.0 * np.arcsin(np.minimum(*sines).clip(max=1.0))
+    frame, body = (int(i) for i in np.unravel_index(difference.argmax(), difference.shape))
+    if difference[frame, body] > _DOF_TOLERANCE_RAD:
+        _log.warning(
+            "%s: joint coordinates (dof_pos) and poses differ by %.3f rad at '%s' in frame %d; "
+            "was the clip made for another model?",
+            clip.name,
+            difference[frame, body],
+            skeleton.body_names[body],
+            frame,
+        )

@@ -137,15 +137,9 @@ class MotionLib:
         return torch.searchsorted(self._cumulative_weights, uniform, right=True)
 
     def sample_time(self, motion_ids: _Ids, truncate_time: float | None = None) -> Tensor:
-        """Return random times (n,) s in the clips (n,).
+        """Return random times (n,) s in the clips (n,), not in their last `truncate_time` s.
 
-        Args:
-            motion_ids: (n,) clip ids.
-            truncate_time: leave out this much (s, >= 0) at the end of each clip; clips that are
-                shorter give time 0.
-
-        Raises:
-            ConfigError: truncate_time is negative.
+        Clips that are shorter give time 0.
         """
         lengths = self.get_motion_length(motion_ids)
         if truncate_time is not None:

@@ -57,26 +57,18 @@ _MAX_NAMED = 5
 
 @dataclass(frozen=True, eq=False)
 class _Poses:
-    """T frames of a clip, at most `_MAX_FRAMES`.
+    """T frames of a clip, at most `_MAX_FRAMES`."""
 
-    Attributes:
-        fps: of these frames.
-        lows_m: body -> (T,) height of its lowest point that can touch the ground.
-        mass_height_m: (T,) height of the centre of mass.
-        body_pos: (T, J, 3) m, without the root's place on the ground.
-    """
-
-    fps: float
+    fps: float  # of these frames
+    # Body -> (T,) height of its lowest point that can touch the ground.
     lows_m: dict[int, npt.NDArray[np.float64]]
-    mass_height_m: npt.NDArray[np.float64]
-    body_pos: FloatArray
+    mass_height_m: npt.NDArray[np.float64]  # (T,) height of the centre of mass
+    body_pos: FloatArray  # (T, J, 3) m, without the root's place on the ground
 
     @classmethod
     def of(cls, clip: MotionClip, skeleton: Skeleton) -> _Poses | None:
-        """Return the poses; None if the skeleton has no model, or nothing touches the ground."""
+        """Return the poses; None if nothing can touch the ground."""
         model = skeleton.model
-        if model is None or not geoms_that_touch(model):
-            return None
         every = -(-clip.num_frames // _MAX_FRAMES)
         pos, rot = BodyPoses(skeleton).at(qpos_from_clip(skeleton, clip)[::every])
         root = int(model.jnt_bodyid[0])
@@ -125,7 +117,7 @@ def _down_in_geom(geom_quat: FloatArray, body_rot: FloatArray) -> FloatArray:
 
 
 def is_in_air(clip: MotionClip, skeleton: Skeleton) -> bool:
-    """Return whether the lowest points of a clip are above the ground; False without a model."""
+    """Return whether the lowest points of a clip are above the ground."""
     poses = _Poses.of(clip, skeleton)
     return poses is not None and poses.ground_m > _HIGH_M
 
@@ -133,8 +125,7 @@ def is_in_air(clip: MotionClip, skeleton: Skeleton) -> bool:
 def put_on_ground(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
     """Return the clip, raised or lowered as a whole, so that its lowest points are on the ground.
 
-    `GROUND_QUANTILE` of its frames stay a little below. A clip of a skeleton without a model is
-    returned as it is.
+    `GROUND_QUANTILE` of its frames stay a little below.
     """
     poses = _Poses.of(clip, skeleton)
     if poses is None:
@@ -149,10 +140,8 @@ def bodies_on_ground(clips: Sequence[MotionClip], skeleton: Skeleton) -> list[st
     A body touches it where its lowest point is near the ground of its clip, within 3 cm of a
     humanoid and in proportion of others, in 2% of the frames at least. Where the centre of mass
     comes near the ground, in a roll or a crawl, it is all bodies: clips of that kind are seldom
-    exact. None of a skeleton without a model.
+    exact.
     """
-    if skeleton.model is None:
-        return []
     usual_m = _usual_mass_height_m(skeleton.model)
     found: set[int] = set()
     for clip in clips:
@@ -178,16 +167,19 @@ def _usual_mass_height_m(model: mujoco.MjModel) -> float:
 
 
 def implausible(clip: MotionClip, skeleton: Skeleton) -> list[str]:
-    """Return what is implausible in a clip, a few words each, for users.
-
-    Args:
-        clip: its bodies in the order of the skeleton.
-        skeleton: with a model; else only the joint limits are looked at.
-    """
+    """Return what is implausible in a clip, a few words each, for users."""
     found = [_beyond_limits(clip, skeleton)]
     poses = _Poses.of(clip, skeleton)
     if poses is not None:
-        found = [_off_ground(poses), _odd_flight(poses), *found, _ends_in_air(poses)]
+        found = [_odd_flight(poses), *found, _ends_in_air(poses)]
+        if not -_DEEP_M <= poses.ground_m <= _HIGH_M:
+            side = "below" if poses.ground_m < 0 else "above"
+            found.insert(
+                0,
+                f"its lowest points are {abs(poses.ground_m):.2f} m {side} the ground"
+                " (task.env.groundClips=True, or isaacgymenvs-lite convert with ground=True, puts"
+                " them on it)",
+            )
     return [text for text in found if text]
 
 
@@ -206,17 +198,6 @@ def _warn_once(lines: tuple[str, ...]) -> None:
     """Log lines; a training loads its clips again to measure the policy."""
     for line in lines:
         _log.warning("%s", line)
-
-
-def _off_ground(poses: _Poses) -> str:
-    ground_m = poses.ground_m
-    if -_DEEP_M <= ground_m <= _HIGH_M:
-        return ""
-    where = f"{-ground_m:.2f} m below" if ground_m < 0 else f"{ground_m:.2f} m above"
-    return (
-        f"its lowest points are {where} the ground (task.env.groundClips=True, or"
-        " isaacgymenvs-lite convert with ground=True, puts them on it)"
-    )
 
 
 def _odd_flight(poses: _Poses) -> str:
@@ -253,8 +234,6 @@ def _odd_flight(poses: _Poses) -> str:
 
 
 def _beyond_limits(clip: MotionClip, skeleton: Skeleton) -> str:
-    if len(skeleton.dof_limits) == 0:
-        return ""
     dofs = dofs_of_clip(skeleton, clip)
     excess_rad = np.maximum(skeleton.dof_limits[:, 0] - dofs, dofs - skeleton.dof_limits[:, 1])
     joint = int(excess_rad.max(axis=0).argmax())

@@ -82,11 +82,7 @@ def foot_contacts(
 
 
 def plot_clip(name: str, settings: PlotSettings) -> Path:
-    """Plot a clip; return the file.
-
-    Raises:
-        UserError: the clip cannot be read, the file cannot be written, matplotlib is missing.
-    """
+    """Plot a clip; return the file."""
     figure_module = import_package("matplotlib.figure", f"out={settings.out}")
     clip, skeleton, robot = load_shown_clip(name, settings.robot)
     angles = joint_angles(clip, skeleton)

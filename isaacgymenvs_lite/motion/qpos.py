@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+from collections.abc import Iterable
 
 import mujoco
 import numpy as np
@@ -17,7 +18,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite import paths
-from isaacgymenvs_lite.errors import ConfigError, MotionFileError
+from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray, local_rotations
 from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
@@ -34,13 +35,7 @@ def clip_to_qpos(
 ) -> tuple[mujoco.MjModel, npt.NDArray[np.float64]]:
     """Return the robot of a clip, as a MuJoCo model, and the clip's poses, qpos (T, nq).
 
-    Args:
-        clip: its bodies in the order of the robot's, see `load_single_clip`.
-        skeleton: of the robot, read from a model; None: of the shipped humanoid with these bodies.
-
-    Raises:
-        MotionFileError: no shipped humanoid has these bodies; or see `qpos_from_clip`.
-        ConfigError: the skeleton has no model.
+    The skeleton is the robot's; None: of the shipped humanoid with the clip's bodies.
     """
     if skeleton is None:
         file = shipped_humanoid_with(clip.body_names)
@@ -50,29 +45,23 @@ def clip_to_qpos(
                 f" ({', '.join(clip.body_names)})"
             )
         skeleton = Skeleton.from_mjcf(paths.assets_dir() / file)
-    return _model(skeleton), qpos_from_clip(skeleton, clip)
+    return skeleton.model, qpos_from_clip(skeleton, clip)
 
 
 class BodyPoses:
-    """World poses of a robot's bodies at many qpos, by the kinematics that the tasks use; float32.
-
-    Args:
-        skeleton: with a model.
-    """
+    """World poses of a robot's bodies at many qpos, by the tasks' kinematics; float32."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         model = skeleton.model
-        assert model is not None
         root = int(model.jnt_bodyid[0])
         self._bodies = slice(root - 1, root - 1 + skeleton.num_bodies)
         self._kinematics = Kinematics(model, self._bodies.stop)
         self._qpos0 = model.qpos0.astype(np.float32)
 
     def at(self, qpos: FloatArray) -> tuple[Floats, Floats]:
-        """Return the positions (3, J, n) m and rotations (4, J, n) xyzw of the bodies.
+        """Return positions (3, J, n) m and rotations (4, J, n) xyzw of the bodies at qpos (n, nq).
 
-        Args:
-            qpos: (n, nq), quaternions wxyz; columns at the end may be left out: objects.
+        Columns at the end, which are of objects, may be left out.
         """
         whole = np.repeat(self._qpos0[:, None], len(qpos), axis=1)
         whole[: qpos.shape[1]] = qpos.T
@@ -85,19 +74,13 @@ class BodyPoses:
 def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) -> MotionClip:
     """Make a clip of any robot from its joint coordinates; MuJoCo's kinematics gives the poses.
 
-    Joints that follow others get their angles from their leaders; a warning names those that
-    differ. Angles of followers may be NaN: not known.
-
     Args:
         name: see `MotionClip`.
         fps: frames per second.
         skeleton: of the robot.
-        qpos: (T, nq) m and rad, quaternions wxyz; the columns of objects beside the robot may be
-            left out.
-
-    Raises:
-        MotionFileError: qpos has another shape, or is no motion, see `MotionClip.validate`.
-        ConfigError: the skeleton has no model, and joints beside the origins of their bodies.
+        qpos: (T, nq) m and rad, quaternions wxyz; the columns of objects may be left out. Joints
+            that follow others get their angles from their leaders; a warning names those that
+            differ. Angles of followers may be NaN: not known.
     """
     qpos = np.asarray(qpos, dtype=np.float64)
     num_columns = skeleton.qpos_addresses[-1]
@@ -124,11 +107,7 @@ def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) 
 
 
 def qpos_from_clip(skeleton: Skeleton, clip: MotionClip) -> npt.NDArray[np.float64]:
-    """Return qpos (T, nq), without objects, of a clip with its bodies in the order of `skeleton`.
-
-    Raises:
-        MotionFileError: the clip has no `dof_pos`, and several joints of one body need them.
-    """
+    """Return qpos (T, nq), without objects, of a clip; its bodies are in the skeleton's order."""
     if clip.dof_pos is None:
         return qpos_from_poses(skeleton, clip.root_translation, clip.local_rotation)
     return qpos_from_dofs(skeleton, clip.root_translation, clip.local_rotation[:, 0], clip.dof_pos)
@@ -150,16 +129,10 @@ def qpos_from_dofs(
 def qpos_from_poses(
     skeleton: Skeleton, root_translation: FloatArray, local_rotation: FloatArray
 ) -> npt.NDArray[np.float64]:
-    """Return qpos (T, nq) of a robot whose root has the free joint.
+    """Return qpos (T, nq) of root positions (T, 3) m and local rotations (T, J, 4) xyzw.
 
-    Args:
-        skeleton: the tree and its joints; J bodies.
-        root_translation: (T, 3) m, world position of the root.
-        local_rotation: (T, J, 4) xyzw, rotations relative to the parent. Of a hinge, only the
-            rotation about its axis is used.
-
-    Raises:
-        MotionFileError: a body has several joints, whose angles its rotation does not determine.
+    Of a hinge, only the rotation about its axis is used. Raises MotionFileError if a body has
+    several joints, whose angles its rotation does not determine.
     """
     turns = turned_by_joints(skeleton, local_rotation)
     root = rotations.wxyz_from_xyzw(turns[:, 0]).numpy()
@@ -194,13 +167,10 @@ def local_poses(skeleton: Skeleton, qpos: FloatArray) -> tuple[FloatArray, Float
 
     By MuJoCo's own kinematics. Positions are (J, 3) if all joints are at the origins of their
     bodies, else (T, J, 3).
-
-    Raises:
-        ConfigError: the skeleton has no model, and joints beside the origins of their bodies.
     """
-    if skeleton.model is None and not skeleton.has_offset_joints:
-        return skeleton.local_translation, poses_from_qpos(skeleton, qpos)[1]
-    positions, turns = _world_poses(skeleton, qpos)
+    root = int(skeleton.model.jnt_bodyid[0])
+    bodies = range(root, root + skeleton.num_bodies)
+    positions, turns = body_poses(skeleton.model, qpos, bodies)
     local = local_rotations(skeleton.parent_indices, turns)
     if not skeleton.has_offset_joints:
         return skeleton.local_translation, local
@@ -213,10 +183,7 @@ def local_poses(skeleton: Skeleton, qpos: FloatArray) -> tuple[FloatArray, Float
 
 
 def dofs_of_clip(skeleton: Skeleton, clip: MotionClip) -> FloatArray:
-    """Return the DOFs (T, D) rad of a clip whose bodies are in the order of `skeleton`.
-
-    Raises MotionFileError as `qpos_from_clip`.
-    """
+    """Return the DOFs (T, D) rad of a clip whose bodies are in the order of `skeleton`."""
     if clip.dof_pos is None:
         return dofs_from_rotations(skeleton, clip.local_rotation)
     return np.asarray(clip.dof_pos, dtype=np.float64)
@@ -225,10 +192,7 @@ def dofs_of_clip(skeleton: Skeleton, clip: MotionClip) -> FloatArray:
 def dofs_from_rotations(skeleton: Skeleton, local_rotation: FloatArray) -> FloatArray:
     """Return the DOFs (T, num_dofs) in rad of local rotations (T, J, 4) xyzw.
 
-    Of a hinge, only the rotation about its axis is used; within pi of its angle at rest.
-
-    Raises:
-        MotionFileError: a body has several joints, whose angles its rotation does not determine.
+    Angles of hinges are within pi of their angles at rest; errors as of `qpos_from_poses`.
     """
     vectors = rotations.quat_log(turned_by_joints(skeleton, local_rotation))
     columns = []
@@ -264,12 +228,7 @@ def joint_rotations(skeleton: Skeleton, dofs: FloatArray) -> Tensor:
 def turned_by_joints(skeleton: Skeleton, local_rotation: FloatArray) -> Tensor:
     """Return the rotations (T, J, 4) xyzw of bodies by their joints, from their rest rotations.
 
-    Args:
-        skeleton: J bodies.
-        local_rotation: (T, J, 4) xyzw, rotations relative to the parent.
-
-    Raises:
-        MotionFileError: a body has several joints, whose angles its rotation does not determine.
+    Errors as of `qpos_from_poses`.
     """
     if skeleton.shared_body_ids:
         names = ", ".join(skeleton.body_names[body] for body in skeleton.shared_body_ids)
@@ -330,27 +289,19 @@ def dofs_from_qpos(skeleton: Skeleton, qpos: npt.NDArray[np.float64]) -> FloatAr
     return np.concatenate(columns or [np.zeros((len(qpos), 0))], axis=1)
 
 
-def _world_poses(
-    skeleton: Skeleton, qpos: FloatArray
+def body_poses(
+    model: mujoco.MjModel, qpos: FloatArray, bodies: Iterable[str | int]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return the world positions (T, J, 3) m and rotations (T, J, 4) xyzw of qpos (T, nq)."""
-    model = _model(skeleton)
+    """Return world positions (T, B, 3) m and rotations (T, B, 4) xyzw of bodies at qpos (T, nq).
+
+    By MuJoCo's own kinematics. The columns of objects may be left out.
+    """
+    ids = [model.body(body).id for body in bodies]
     data = mujoco.MjData(model)
-    first = int(model.jnt_bodyid[0])
-    bodies = slice(first, first + skeleton.num_bodies)
     columns = min(qpos.shape[1], model.nq)
-    positions = np.zeros((len(qpos), skeleton.num_bodies, 3))
-    quats = np.zeros((len(qpos), skeleton.num_bodies, 4))
+    positions, quats = np.zeros((len(qpos), len(ids), 3)), np.zeros((len(qpos), len(ids), 4))
     for frame, pose in enumerate(qpos):
         data.qpos[:columns] = pose[:columns]
         mujoco.mj_kinematics(model, data)
-        positions[frame], quats[frame] = data.xpos[bodies], data.xquat[bodies]
+        positions[frame], quats[frame] = data.xpos[ids], data.xquat[ids]
     return positions, rotations.xyzw_from_wxyz(torch.from_numpy(quats)).numpy()
-
-
-def _model(skeleton: Skeleton) -> mujoco.MjModel:
-    if skeleton.model is None:
-        raise ConfigError(
-            "the skeleton has no MuJoCo model; make it with Skeleton.from_model or from_mjcf"
-        )
-    return skeleton.model

@@ -37,11 +37,7 @@ class RobotCheckSettings:
 
 
 def check_robot(file: str, settings: RobotCheckSettings) -> None:
-    """Log what is taken of a robot's file and added to it; draw its start pose if asked to.
-
-    Raises:
-        UserError: the file cannot be used, or the picture cannot be drawn or written.
-    """
+    """Log what is taken of a robot's file and added to it; draw its start pose if asked to."""
     if settings.out:
         require("PIL", "writing pictures")
     robot = load_clip_robot(file)

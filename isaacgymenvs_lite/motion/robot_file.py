@@ -35,13 +35,8 @@ def run_file_command(
 ) -> int:
     """Run `isaacgymenvs-lite NAME FILE ... key=value ...` and return the exit code.
 
-    Args:
-        name: of the command.
-        description: for `--help`.
-        cls: of the settings, see `run_command`.
-        action: receives the words for `files`, then the settings.
-        arguments: without the program's name; None = `sys.argv`.
-        files: what comes before the settings: a name in capitals, and its help.
+    `files` are the words before the settings, in capitals, with their help; `action` receives the
+    words, then the settings.
     """
     parser = argparse.ArgumentParser(prog=f"isaacgymenvs-lite {name}", description=description)
     for file, text in files.items():
@@ -56,26 +51,16 @@ def run_file_command(
 
 @dataclass(frozen=True, eq=False)
 class ClipRobot:
-    """A robot that clips belong to.
-
-    Attributes:
-        prepared: its model, start pose and contact bodies.
-        skeleton: of the model.
-    """
+    """A robot that clips belong to, and the skeleton of its model."""
 
     prepared: PreparedRobot
     skeleton: Skeleton
 
 
 def load_clip_robot(name: str, settings: RobotSettings | None = None) -> ClipRobot:
-    """Read the robot that clips belong to.
+    """Read the robot that clips belong to, or raise a ConfigError.
 
-    Args:
-        name: an MJCF or URDF: absolute, relative to the working directory, or to assets/.
-        settings: what the user says of it.
-
-    Raises:
-        ConfigError: no such file, or see `robots.load.load_robot`.
+    Its file is absolute, or relative to the working directory or to assets/.
     """
     folders = (Path(), paths.assets_dir())
     found = [folder / paths.user_path(name) for folder in folders]
@@ -92,16 +77,7 @@ def load_clip_robot(name: str, settings: RobotSettings | None = None) -> ClipRob
 
 
 def load_shown_clip(name: str, robot: str) -> tuple[MotionClip, Skeleton, ClipRobot | None]:
-    """Read a clip to be shown, with its skeleton, and its robot, None for a humanoid.
-
-    Args:
-        name: a motion file, or the name of a shipped clip.
-        robot: the file of the robot that the clip belongs to; "": it is of a humanoid.
-
-    Raises:
-        ConfigError: see `load_clip_robot`.
-        MotionFileError: see `load_single_clip`.
-    """
+    """Read a clip to be shown, with its skeleton, and its robot, None for a humanoid."""
     if not robot:
         return *load_single_clip(name), None
     loaded = load_clip_robot(robot)

@@ -6,7 +6,7 @@ import functools
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -16,7 +16,6 @@ import torch
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.motion.kinematics import FloatArray, world_points
 from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations
 
@@ -35,60 +34,37 @@ class Skeleton:
     A joint group is one joint: 3 DOFs (ball joint, rotation vector in rad in the child frame) or 1
     DOF (hinge, its angle in rad). A body may have several, which rotate it one after the other, in
     MuJoCo's order. Bodies without a joint are rigid.
-
-    A skeleton made by hand may leave out what comes after `foot_corners`: then no body is turned at
-    rest, hinges rotate about the child's y axis, and joints are at the origins of their bodies.
-
-    Attributes:
-        body_names: J names.
-        parent_indices: J body ids, -1 for the root; parents come before children.
-        local_translation: (J, 3) m, origin of a body in its parent's frame, all joints at rest. The
-            root's row is its position in the model file, which kinematics does not use.
-        dof_body_ids: G body ids, one per joint group, in DOF order.
-        dof_offsets: G + 1 numbers; group g owns the DOFs dof_offsets[g] to dof_offsets[g + 1].
-        foot_body_ids: K body ids, the foot that each row of `foot_corners` belongs to.
-        foot_corners: (K, 3) m, corners of the box geoms of the bodies named *_foot, body frame.
-        dof_names: one name per DOF: of a hinge the joint's; of a ball joint the names of its three
-            actuators, such as abdomen_x, or <joint>_x, _y and _z. Empty if made by hand.
-        dof_limits: (num_dofs, 2) rad, lowest and highest value of each DOF; infinite for hinges
-            without limits, -pi and pi for such ball joints; (0, 2) without names.
-        rest_rotation: (J, 4) xyzw, of a body in its parent's frame, all joints at rest; the root's
-            row is the identity.
-        joint_axes: (G, 3) unit vectors in the child frame; zeros for ball joints.
-        joint_anchors: (G, 3) m, points about which the joints rotate, in the child frame.
-        joint_refs: (G,) rad, the angle of a hinge at rest (MuJoCo's `ref`); 0 for ball joints.
-        model: the compiled model; None if made by hand.
-        followers: the joints that follow others; None without any.
     """
 
-    body_names: tuple[str, ...]
-    parent_indices: tuple[int, ...]
+    body_names: tuple[str, ...]  # J names
+    parent_indices: tuple[int, ...]  # J body ids, -1 for the root; parents come before children
+    # (J, 3) m, origin of a body in its parent's frame, all joints at rest. The root's row is its
+    # position in the model file, which kinematics does not use.
     local_translation: npt.NDArray[np.float64]
-    dof_body_ids: tuple[int, ...]
+    dof_body_ids: tuple[int, ...]  # G body ids, one per joint group, in DOF order
+    # G + 1 numbers; group g owns the DOFs dof_offsets[g] to dof_offsets[g + 1].
     dof_offsets: tuple[int, ...]
+    # K body ids, the foot that each row of `foot_corners` belongs to.
     foot_body_ids: tuple[int, ...]
+    # (K, 3) m, corners of the box geoms of the bodies named *_foot, body frame.
     foot_corners: npt.NDArray[np.float64]
-    dof_names: tuple[str, ...] = ()
-    dof_limits: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
-    rest_rotation: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
-    joint_axes: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
-    joint_anchors: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
-    joint_refs: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    model: mujoco.MjModel | None = None
-    followers: Followers | None = None
-
-    def __post_init__(self) -> None:
-        """Fill in what a skeleton made by hand leaves out."""
-        is_hinge = np.array([[size == 1] for size in self.dof_sizes]).reshape(-1, 1)
-        usual = {
-            "rest_rotation": np.tile((0.0, 0.0, 0.0, 1.0), (self.num_bodies, 1)),
-            "joint_axes": is_hinge * np.array([0.0, 1.0, 0.0]),
-            "joint_anchors": np.zeros((len(self.dof_body_ids), 3)),
-            "joint_refs": np.zeros(len(self.dof_body_ids)),
-        }
-        for name, value in usual.items():
-            if len(getattr(self, name)) == 0:
-                object.__setattr__(self, name, value)
+    # One name per DOF: of a hinge the joint's; of a ball joint the names of its three actuators,
+    # such as abdomen_x, or <joint>_x, _y and _z.
+    dof_names: tuple[str, ...]
+    # (num_dofs, 2) rad, lowest and highest value of each DOF; infinite for hinges without limits,
+    # -pi and pi for such ball joints.
+    dof_limits: npt.NDArray[np.float64]
+    # (J, 4) xyzw, of a body in its parent's frame, all joints at rest; the root's row is the
+    # identity.
+    rest_rotation: npt.NDArray[np.float64]
+    # (G, 3) unit vectors in the child frame; zeros for ball joints.
+    joint_axes: npt.NDArray[np.float64]
+    # (G, 3) m, points about which the joints rotate, in the child frame.
+    joint_anchors: npt.NDArray[np.float64]
+    # (G,) rad, the angle of a hinge at rest (MuJoCo's `ref`); 0 for ball joints.
+    joint_refs: npt.NDArray[np.float64]
+    model: mujoco.MjModel  # the compiled model
+    followers: Followers | None  # the joints that follow others; None without any
 
     @property
     def num_bodies(self) -> int:
@@ -120,9 +96,8 @@ class Skeleton:
     @functools.cached_property
     def up_b(self) -> tuple[float, ...]:
         """The upward direction (3,) in the frame of a root that is upright, as in its model."""
-        turn = np.array((1.0, 0.0, 0.0, 0.0)) if self.model is None else self.model.qpos0[3:7]
         matrix = np.zeros(9)
-        mujoco.mju_quat2Mat(matrix, turn)
+        mujoco.mju_quat2Mat(matrix, self.model.qpos0[3:7])
         return tuple(matrix[6:])
 
     @functools.cached_property
@@ -148,11 +123,7 @@ class Skeleton:
 
     @classmethod
     def from_mjcf(cls, path: str | Path) -> Skeleton:
-        """Read the skeleton of the MJCF file at `path` from MuJoCo's compiled model.
-
-        Raises:
-            ConfigError: it is no model that MuJoCo can compile, or see `from_model`.
-        """
+        """Read the skeleton of the MJCF file at `path` from MuJoCo's compiled model."""
         try:
             model = mujoco.MjModel.from_xml_path(str(path))
         except ValueError as error:
@@ -163,12 +134,8 @@ class Skeleton:
     def from_model(cls, model: mujoco.MjModel, name: str = "the model") -> Skeleton:
         """Read the skeleton of a compiled model; objects beside the robot's tree are left out.
 
-        Args:
-            model: its first joint is the free joint of the robot's root.
-            name: of the model, for messages.
-
-        Raises:
-            ConfigError: the first joint is not a free joint, or the robot has a slide or a loop.
+        Raises ConfigError if the first joint is not the free joint of a root, or the robot has a
+        slide or a loop. `name` is the model's, for messages.
         """
         if model.njnt == 0 or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
             raise ConfigError(
@@ -179,7 +146,13 @@ class Skeleton:
         # A tree's bodies follow each other, and so do its joints; ids count from the root.
         num_bodies = int(np.count_nonzero(model.body_rootid == root))
         bodies = slice(root, root + num_bodies)
-        joints = _joints(model, root, num_bodies, name)
+        of_robot = (model.jnt_bodyid >= root) & (model.jnt_bodyid < root + num_bodies)
+        joints = np.flatnonzero(of_robot)[1:]  # without the free joint
+        for joint in joints[model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE]:
+            raise ConfigError(
+                f"{name}: joint '{model.joint(joint).name}' is a slide; a clip moves hinges and"
+                " ball joints (the preparation in isaacgymenvs_lite.robots fixes slides)"
+            )
         sizes = [_DOFS_OF_JOINT[int(model.jnt_type[joint])] for joint in joints]
         is_hinge = model.jnt_type[joints] == _HINGE
         foot_body_ids, foot_corners = _foot_corners(model, root, num_bodies)
@@ -208,29 +181,10 @@ class Skeleton:
             followers=followers if followers.joints else None,
         )
 
-    def sole_corners(self, positions: FloatArray, rotation: FloatArray) -> FloatArray:
-        """Return the world positions (T, 2, 4, 3) m of the soles' corners, right foot first.
-
-        Args:
-            positions: (T, J, 3) m, world positions of the bodies.
-            rotation: (T, J, 4) xyzw, world rotations of the bodies.
-        """
-        soles = []
-        for name in ("right_foot", "left_foot"):
-            foot = self.body_names.index(name)
-            corners = self.foot_corners[[body == foot for body in self.foot_body_ids]]
-            sole = corners[corners[:, 2] == corners[:, 2].min()]
-            soles.append(world_points([foot] * len(sole), sole, positions, rotation))
-        return np.stack(soles, axis=1)
-
 
 @functools.lru_cache
 def skeleton_for_num_dofs(num_dofs: int) -> Skeleton:
-    """Return the skeleton of the shipped humanoid with `num_dofs` degrees of freedom.
-
-    Raises:
-        ConfigError: no shipped humanoid has so many.
-    """
+    """Return the skeleton of the shipped humanoid with `num_dofs` degrees of freedom."""
     if num_dofs not in _HUMANOIDS:
         choices = ", ".join(str(n) for n in _HUMANOIDS)
         raise ConfigError(
@@ -249,19 +203,6 @@ def shipped_humanoid_with(body_names: Sequence[str]) -> str | None:
         if set(skeleton_for_num_dofs(num_dofs).body_names) == set(body_names):
             return file
     return None
-
-
-def _joints(model: mujoco.MjModel, root: int, num_bodies: int, name: str) -> npt.NDArray[np.int64]:
-    """Return the ids (G,) of the joints of the robot, the free joint left out."""
-    bodies = model.jnt_bodyid[1:]
-    joints = 1 + np.flatnonzero((bodies >= root) & (bodies < root + num_bodies))
-    for joint in joints:
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
-            raise ConfigError(
-                f"{name}: joint '{model.joint(joint).name}' is a slide; a clip moves hinges and"
-                " ball joints (the preparation in isaacgymenvs_lite.robots fixes slides)"
-            )
-    return joints
 
 
 def _foot_corners(

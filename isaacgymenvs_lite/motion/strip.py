@@ -25,7 +25,7 @@ from isaacgymenvs_lite.motion.qpos import clip_to_qpos
 from isaacgymenvs_lite.motion.robot_file import load_shown_clip, run_file_command, view_of
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
 from isaacgymenvs_lite.rendering.view import View
-from isaacgymenvs_lite.schema import keys_of, setting
+from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.utils.optional_packages import import_package, require
 
 _FRAME_WIDTH, _FRAME_HEIGHT = 200, 320
@@ -37,30 +37,16 @@ _NUM_COLOURS = 128
 def draw_poses(
     model: mujoco.MjModel, qpos: npt.NDArray[np.float64], view: View | None = None
 ) -> Image:
-    """Draw poses (n, nq) side by side, each from a camera of its own.
+    """Draw poses (n, nq) side by side, each from a camera of its own, as (height, n * width, 3).
 
-    Args:
-        model: of the figure.
-        qpos: joint positions in MuJoCo's order.
-        view: the camera's; None: a humanoid's, from the right side.
-
-    Returns:
-        A picture (height, n * width, 3).
-
-    Raises:
-        RenderingError: this machine cannot draw.
+    The view is by default a humanoid's, from the right side.
     """
     with SceneRenderer(model, _FRAME_WIDTH, _FRAME_HEIGHT, view=view or View()) as renderer:
         return np.concatenate([renderer.draw(pose) for pose in qpos], axis=1)
 
 
 def save_png(path: str | Path, image: Image) -> Path:
-    """Write a picture (height, width, 3) with few colours, for a small file.
-
-    Raises:
-        MissingPackageError: Pillow is not installed.
-        ConfigError: the file cannot be written.
-    """
+    """Write a picture (height, width, 3) with few colours, for a small file."""
     pillow = import_package("PIL.Image", "writing pictures")
     path = Path(path)
     try:
@@ -88,9 +74,6 @@ def draw_strip(name: str, out: str, settings: StripSettings) -> Path:
     """Write a PNG of a clip, named as on the command line, and return its path.
 
     The poses are evenly spaced in time and stand side by side.
-
-    Raises:
-        UserError: the clip cannot be read, or the picture cannot be drawn or written.
     """
     require("PIL", "writing pictures")  # before the drawing
     clip, _, robot = load_shown_clip(name, settings.robot)
@@ -103,17 +86,8 @@ def draw_strip(name: str, out: str, settings: StripSettings) -> Path:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    # `--seconds 2`, the command's older form, is `seconds=2`.
-    words = list[str]()
-    for word in sys.argv[1:] if arguments is None else arguments:
-        if words and words[-1].startswith("--") and "=" not in words[-1]:
-            words[-1] += f"={word}"
-        else:
-            words.append(word)
-    options = tuple(f"--{key}=" for key in keys_of(StripSettings))
-    words = [word[2:] if word.startswith(options) else word for word in words]
     files = {"CLIP": "a motion file, or the name of a shipped clip", "OUT": "the PNG to write"}
-    return run_file_command("strip", __doc__, StripSettings, draw_strip, words, **files)
+    return run_file_command("strip", __doc__, StripSettings, draw_strip, arguments, **files)
 
 
 if __name__ == "__main__":

@@ -49,11 +49,7 @@ class ViewSettings:
 
 
 def view_clip(name: str, settings: ViewSettings) -> None:
-    """Show or record a clip, on the humanoid or robot that it was made for.
-
-    Raises:
-        UserError: the clip cannot be read, or cannot be shown here.
-    """
+    """Show or record a clip, on the humanoid or robot that it was made for."""
     if settings.out:
         check_encoder()
     else:

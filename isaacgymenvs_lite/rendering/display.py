@@ -11,15 +11,7 @@ _INSTEAD = "headless=True with viewer=web for a browser, or with capture_video=T
 
 
 def check_display(setting: str = "headless=False", instead: str = _INSTEAD) -> None:
-    """Check that a window can be opened.
-
-    Args:
-        setting: what needs the window, for the message.
-        instead: what works without one, for the message.
-
-    Raises:
-        ConfigError: there is no display, or no library to open a window with.
-    """
+    """Raise a ConfigError that names what works `instead` if no window can be opened."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # GLFW's reason why not

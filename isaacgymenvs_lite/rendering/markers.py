@@ -47,13 +47,7 @@ Marker = Arrow | Sphere
 def arrow_on_ground(
     xy_w: tuple[float, float], direction: tuple[float, float], colour: Colour
 ) -> Arrow:
-    """Return an arrow just above the ground that starts beside a character.
-
-    Args:
-        xy_w: m, where the character is.
-        direction: unit vector of the target direction.
-        colour: of the arrow.
-    """
+    """Return an arrow just above the ground, beside a character, in a direction (unit vector)."""
     (x, y), (dx, dy) = xy_w, direction
     near, far, height = 0.3, 1.0, 0.03
     return Arrow(
@@ -83,14 +77,9 @@ def add_geom(
     place_w: npt.NDArray[np.float64] | None = None,
     colour: Colour = (1.0, 1.0, 1.0),
 ) -> mujoco.MjvGeom:
-    """Add a shape to a scene that has room for it, and return it.
+    """Add a shape, of a kind in `mujoco.mjtGeom`, to a scene that has room for it, and return it.
 
-    Args:
-        scene: what is drawn next.
-        kind: one of `mujoco.mjtGeom`.
-        size: (3,) m, as MuJoCo's geoms of this kind have it.
-        place_w: (3,) m, of its centre.
-        colour: of the shape.
+    `size` (3,) m is as in MuJoCo's geoms of this kind; `place_w` (3,) m is the centre.
     """
     geom = scene.geoms[scene.ngeom]
     size = np.zeros(3) if size is None else size

@@ -13,8 +13,73 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.markers import Marker, add_geom, add_markers
-from isaacgymenvs_lite.rendering.terrain_window import TerrainWindow
 from isaacgymenvs_lite.rendering.view import View, has_free_root
+
+# Half the side of the piece that is drawn, and how far a robot may go before it is replaced.
+_HALF_SIDE_M = 14.0
+_STEP_M = 4.0
+# Half the side of the square whose mean height is "the ground" at a place.
+_GROUND_HALF_SIDE_M = 1.0
+
+
+class TerrainWindow:
+    """The piece of a model's height field around a place.
+
+    `move` makes the model's height field the smaller one. Models without one are left alone.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        self._centre_xy: npt.NDArray[np.float64] | None = None
+        if model.nhfield == 0:
+            return
+        rows, columns = int(model.hfield_nrow[0]), int(model.hfield_ncol[0])
+        self._heights = model.hfield_data[: rows * columns].reshape(rows, columns).copy()
+        self._size = model.hfield_size[0].copy()
+        (geoms,) = np.nonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_HFIELD))
+        self._geom = int(geoms[0])
+        self._place = model.geom_pos[self._geom].copy()
+        # MuJoCo would not move a geom that has its body's frame.
+        model.geom_sameframe[self._geom] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
+        # m from one number to the next, along x and y
+        self._cell = 2.0 * self._size[:2] / (np.array((columns, rows)) - 1)
+
+    def height(self, xy: npt.NDArray[np.float64]) -> float:
+        """Return the mean height (m) of the ground about `xy` (2,); 0 without a height field."""
+        if self._model.nhfield == 0:
+            return 0.0
+        (x0, x1), (y0, y1) = self._range(xy, _GROUND_HALF_SIDE_M)
+        return float(self._place[2] + self._size[2] * self._heights[y0:y1, x0:x1].mean())
+
+    def move(self, xy: npt.NDArray[np.float64]) -> bool:
+        """Make the piece around `xy` (2,) the model's height field; return whether it changed."""
+        if self._model.nhfield == 0:
+            return False
+        if self._centre_xy is not None and np.abs(xy - self._centre_xy).max() < _STEP_M:
+            return False
+        self._centre_xy = np.array(xy, dtype=np.float64)
+        (x0, x1), (y0, y1) = self._range(xy, _HALF_SIDE_M)
+        piece, model = self._heights[y0:y1, x0:x1], self._model
+        model.hfield_nrow[0], model.hfield_ncol[0] = piece.shape
+        model.hfield_data[: piece.size] = piece.ravel()
+        half_cells = 0.5 * np.array((x1 - x0 - 1, y1 - y0 - 1))
+        model.hfield_size[0, :2] = half_cells * self._cell
+        first = self._place[:2] - self._size[:2] + np.array((x0, y0)) * self._cell
+        model.geom_pos[self._geom, :2] = first + half_cells * self._cell
+        return True
+
+    def _range(
+        self, xy: npt.NDArray[np.float64], half_side_m: float
+    ) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Return the columns and the rows (first, end) within `half_side_m` of `xy`."""
+        at = (np.asarray(xy) - self._place[:2] + self._size[:2]) / self._cell
+        reach = half_side_m / self._cell
+        ends = np.array(self._heights.shape[::-1])
+        # At least two cells, also for a robot that left the terrain.
+        low = np.clip(np.floor(at - reach), 0, ends - 2).astype(int)
+        high = np.clip(np.ceil(at + reach) + 1, low + 2, ends).astype(int)
+        return (int(low[0]), int(high[0])), (int(low[1]), int(high[1]))
+
 
 Image = npt.NDArray[np.uint8]
 """(height, width, 3), RGB."""
@@ -39,17 +104,11 @@ _LABEL_LEFT, _LABEL_BASE = 10, 26
 
 
 class SceneRenderer:
-    """Draws one model; the camera follows a free root body. Use it in a `with` statement.
+    """Draws one model, which is not changed; the camera follows a free root body.
 
-    Args:
-        model: the model; it is not changed.
-        width: of the pictures, pixels.
-        height: pixels.
-        view: the camera; by default it shows the whole of a model that is fixed to the world.
-        fast: coarser shadows, jagged edges and no reflections, for videos rendered in software.
-
-    Raises:
-        RenderingError: no OpenGL library works without a screen.
+    Use it in a `with` statement. The default view shows the whole of a model that is fixed to the
+    world. `fast` leaves out smooth edges and reflections, for videos rendered in software. Raises
+    RenderingError if no OpenGL library works without a screen.
     """
 
     def __init__(
@@ -91,13 +150,9 @@ class SceneRenderer:
         markers: Sequence[Marker] = (),
         look_at: npt.ArrayLike | None = None,
     ) -> Image:
-        """Return a picture of the model at joint positions `qpos` (nq,).
+        """Return a picture of the model at joint positions `qpos` (nq,), with a label and markers.
 
-        Args:
-            qpos: in MuJoCo's order and units, quaternions wxyz.
-            label: text in the upper left corner.
-            markers: what else to draw.
-            look_at: joint positions whose root the camera looks at; by default `qpos`.
+        The camera looks at the root of the joint positions `look_at`, by default `qpos`.
         """
         self._data.qpos[:] = qpos
         self._aim(np.asarray(qpos if look_at is None else look_at)[:3])

@@ -39,12 +39,9 @@ class TrackMaker:
     def track(
         self, root_states: Tensor, dof_pos: Tensor, object_states: Tensor | None = None
     ) -> Track:
-        """Return the track of states at T times.
+        """Return the track of root states (T, 7 or more), DOFs (T, D), object states (T, K, 13).
 
-        Args:
-            root_states: (T, 7 or more).
-            dof_pos: (T, D).
-            object_states: (T, K, 13); None: the objects stay at their places in the model.
+        Without states, the objects stay at their places in the model.
         """
         roots = torch.zeros(len(dof_pos), 13)
         roots[:, :_ROOT] = root_states[:, :_ROOT]
@@ -58,13 +55,7 @@ class TrackMaker:
 
 
 class PoseRecorder:
-    """Records the motion of some environments of a task.
-
-    Args:
-        env: a task (`VecTask`).
-        num_steps: control steps to keep; later ones are ignored.
-        env_ids: which environments.
-    """
+    """Records the motion of some environments of a task, up to `num_steps` control steps."""
 
     def __init__(self, env: Any, num_steps: int, env_ids: Sequence[int] = (0,)) -> None:
         self._simulation = env.simulation
@@ -102,11 +93,7 @@ def markers_of(env: Any) -> Callable[[int], tuple[Marker, ...]]:
 
 
 class PoseReader:
-    """Reads the current pose of environments of a task.
-
-    Args:
-        env: a task (`VecTask`).
-    """
+    """Reads the current pose of environments of a task (`VecTask`)."""
 
     def __init__(self, env: Any) -> None:
         self._simulation = env.simulation
@@ -120,13 +107,7 @@ class PoseReader:
 
 
 class TaskCamera:
-    """Draws the current state of a task's environments; OpenGL is loaded with the first picture.
-
-    Args:
-        task: a task (`VecTask`).
-        width: of a picture, pixels.
-        height: pixels.
-    """
+    """Draws the current state of a task's environments; OpenGL is loaded with the first picture."""
 
     def __init__(self, task: Any, width: int = 320, height: int = 240) -> None:
         self._task = task
@@ -134,11 +115,7 @@ class TaskCamera:
         self._renderer: SceneRenderer | None = None
 
     def draw(self, env_ids: Sequence[int]) -> list[Image]:
-        """Return a picture (height, width, 3) of each of the environments.
-
-        Raises:
-            RenderingError: this machine cannot draw.
-        """
+        """Return a picture (height, width, 3) of each of the environments."""
         if self._renderer is None:
             model = self._task.simulation.model
             view = View.of_model(model)

@@ -37,11 +37,7 @@ _PIXEL_FORMAT = "yuv420p"  # what every player and browser shows
 
 
 def check_encoder() -> None:
-    """Check that videos can be encoded.
-
-    Raises:
-        MissingPackageError: PyAV is not installed.
-    """
+    """Raise a MissingPackageError if videos cannot be encoded."""
     require(_ENCODER, _PURPOSE)
 
 
@@ -58,25 +54,11 @@ def draw_tracks(
     view: View | None = None,
     follow: bool = True,
 ) -> Iterator[Image]:
-    """Draw tracks in panels, each with a camera of its own, until the shortest one ends.
+    """Draw tracks (T, nq) in panels, each with a camera of its own, until the shortest one ends.
 
-    Args:
-        model: of the figures.
-        tracks: (T, nq) each.
-        labels: a text for each track, or none.
-        markers: what else to draw at each time in each panel, or nothing.
-        width: of one panel, pixels.
-        height: pixels.
-        fast: see `SceneRenderer`.
-        columns: panels side by side; None: all of them.
-        view: see `SceneRenderer`.
-        follow: move the cameras with the robots; False: keep them at the robots' first places.
-
-    Yields:
-        A picture (rows * height, columns * width, 3) for each time; panels that remain are black.
-
-    Raises:
-        RenderingError: this machine cannot draw.
+    Yields a picture (rows * height, columns * width, 3) for each time; panels that remain are
+    black. `markers` are what else to draw at each time in each panel. Without `follow` the cameras
+    stay at the robots' first places.
     """
     labels = labels or [""] * len(tracks)
     columns = columns or len(tracks)
@@ -97,16 +79,9 @@ def draw_tracks(
 
 
 def save_video(path: str | Path, images: Iterable[Image], fps: float) -> Path:
-    """Write pictures as a video and return its path; no file is written if there is no picture.
+    """Write pictures (height, width, 3) as .mp4 or .webp; returns the path.
 
-    Args:
-        path: the file, .mp4 or .webp; an older one is replaced.
-        images: (height, width, 3) each; all of one size, both numbers even.
-        fps: pictures per second.
-
-    Raises:
-        ConfigError: another suffix, or a file that cannot be written.
-        MissingPackageError: PyAV is not installed.
+    They have one size, both numbers even. No file is written if there is no picture.
     """
     path = Path(path)
     if path.suffix not in _FORMATS:

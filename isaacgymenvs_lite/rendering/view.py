@@ -26,36 +26,24 @@ _GROUNDS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 
 @dataclass(frozen=True)
 class View:
-    """A camera; the defaults show a humanoid from its right side.
+    """A camera; the defaults show a humanoid from its right side."""
 
-    Attributes:
-        azimuth_deg: where the camera looks: 90 along +y, 180 along -x.
-        elevation_deg: negative looks down.
-        distance_m: from the camera to where it looks.
-        look_at_height_m: height of that point above the ground; of a figure that flies above its
-            root; of one that does not move about above the origin.
-        centre_xy_m: where it looks if the figure does not move about.
-        moves_about: whether the camera looks at a root body.
-        flies: whether the camera also follows the root's height.
-    """
-
-    azimuth_deg: float = 90.0
-    elevation_deg: float = -4.0
-    distance_m: float = 2.5
+    azimuth_deg: float = 90.0  # where the camera looks: 90 along +y, 180 along -x
+    elevation_deg: float = -4.0  # negative looks down
+    distance_m: float = 2.5  # from the camera to where it looks
+    # Height of that point above the ground; of a figure that flies above its root; of one that does
+    # not move about above the origin.
     look_at_height_m: float = 0.82
+    # Where it looks if the figure does not move about.
     centre_xy_m: tuple[float, float] = (0.0, 0.0)
-    moves_about: bool = True
-    flies: bool = False
+    moves_about: bool = True  # whether the camera looks at a root body
+    flies: bool = False  # whether the camera also follows the root's height
 
     @classmethod
     def of_model(cls, model: mujoco.MjModel, aspect: float = 4 / 3) -> View:
-        """Return a view that fits a model in its default pose.
+        """Return a view that fits a model in its default pose, for pictures of this aspect.
 
         A robot with a free root is seen from its right side, anything else across its longer side.
-
-        Args:
-            model: what is shown.
-            aspect: width of the picture by its height.
         """
         moves_about = has_free_root(model)
         low, high = _bounds(model, moves_about)
@@ -102,9 +90,7 @@ def has_free_root(model: mujoco.MjModel) -> bool:
 def _bounds(model: mujoco.MjModel, moves_about: bool) -> tuple[Points, Points]:
     """Return the lowest and highest coordinates (3,) m of what a model shows in its default pose.
 
-    Args:
-        model: the compiled model.
-        moves_about: leave out what is not a part of the first body's tree.
+    Of one that moves about, only the first body's tree counts.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

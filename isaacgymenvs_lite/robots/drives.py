@@ -79,16 +79,7 @@ def choose_drives(
     Without any of the user's, a position actuator of the file gives kp and kd. Otherwise kp follows
     from the effort of the joint or its motor, which else follows from the weight; kd from kp.
 
-    Args:
-        model: the robot.
-        motors: what its file says, by joint.
-        weight_moment: the robot's weight times its height above the floor (Nm).
-        patterns: names of joints to settings; the first that matches counts.
-        where: key of the patterns, for messages.
-        contact_bodies: on which the robot stands.
-
-    Raises:
-        ConfigError: a pattern matches no joint, or no pattern matches a joint.
+    Raises ConfigError if a pattern matches no joint, or none of the patterns matches a joint.
     """
     # The bodies between those in contact and the root, both included.
     carrying = {i for name in contact_bodies for i in ancestors(model, model.body(name).id)}
@@ -203,11 +194,8 @@ def add_drives(spec: mujoco.MjSpec, drives: Sequence[Drive]) -> None:
     """Add one position actuator per degree of freedom, named as MuJoCo model layouts name these.
 
     Lengths of a ball joint's three are the components of its rotation vector in the child frame;
-    their `lengthrange` (rad) is what tasks take for the limits of the axes.
-
-    Args:
-        spec: changed: actuators, armatures and force limits of the joints.
-        drives: of all hinges and balls, in the order of the joints.
+    their `lengthrange` (rad) is what tasks take for the limits of the axes. Armatures and force
+    limits of the joints change, too.
     """
     for drive in drives:
         joint = spec.joint(drive.joint)

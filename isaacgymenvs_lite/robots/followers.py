@@ -24,12 +24,8 @@ _LOOPS = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 class _Follower:
     """A joint whose coordinate is a polynomial of its leader's: y - y0 = p(x - x0), as MuJoCo's.
 
-    Attributes:
-        joint: id of the joint.
-        leader: id of the other joint; None: the joint is held at y0 + p(0).
-        polynomial: p.
-        start: y0, the joint's coordinate in the model's initial pose.
-        leader_start: x0.
+    `start` is y0, the joint's coordinate in the model's initial pose, and `leader_start` x0.
+    Without a leader the joint is held at y0 + p(0).
     """
 
     joint: int
@@ -100,11 +96,8 @@ class Followers:
     def led(self, jacobian: _Floats, qpos: _Floats) -> npt.NDArray[np.float64]:
         """Return a Jacobian (..., V) in which leaders' columns move their followers, too.
 
-        The followers' own columns are zero.
-
-        Args:
-            jacobian: (..., V), of joints that move independently.
-            qpos: (Q,), the pose.
+        The given one, at the pose `qpos` (Q,), is of joints that move independently. The followers'
+        own columns become zero.
         """
         dofs, address = self._model.jnt_dofadr, self._model.jnt_qposadr
         columns = np.array(jacobian, dtype=np.float64)

@@ -38,11 +38,7 @@ def free_joints(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
 
 
 def bodies_named(model: mujoco.MjModel, names: Sequence[str], where: str) -> tuple[str, ...]:
-    """Return the bodies that names or patterns match, in the order of the patterns.
-
-    Raises:
-        ConfigError: one matches no body.
-    """
+    """Return the bodies that names or patterns match, in their order, or raise a ConfigError."""
     choices = [model.body(body).name for body in range(1, model.nbody)]
     found: dict[str, None] = {}
     for name in names:
@@ -60,12 +56,8 @@ def limb_ends(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
     """Return the last bodies of all limbs: hands, feet; a head or tail with joints of its own.
 
     A limb is a chain with at least one joint. Of the bodies that are fixed to its last link
-    (rotors, shoulders, sensors, feet) the farthest one with a shape is the end; the fingers of a
-    hand count as the hand.
-
-    Args:
-        model: of a robot with a free root.
-        qpos: (Q,) a pose.
+    (rotors, shoulders, sensors, feet) the farthest one with a shape in the pose (Q,) is the end;
+    the fingers of a hand count as the hand.
     """
     places = posed(model, qpos).xpos
     size = float(np.ptp(places[1:], axis=0).max())

@@ -31,7 +31,6 @@ from isaacgymenvs_lite.robots.drives import (
 from isaacgymenvs_lite.robots.followers import TOLERANCE_RAD, Followers
 from isaacgymenvs_lite.robots.limbs import bodies_named, limb_ends, touching_bodies
 from isaacgymenvs_lite.robots.reading import read_robot_file
-from isaacgymenvs_lite.robots.scene import add_stage
 from isaacgymenvs_lite.robots.settings import RobotSettings, read_drives
 from isaacgymenvs_lite.robots.stance import bend_legs
 from isaacgymenvs_lite.robots.start_pose import (
@@ -48,31 +47,19 @@ _ABSURD = 10.0  # times weight and height of the robot: no motor is as strong
 
 @dataclass(frozen=True)
 class PreparedRobot:
-    """A robot with a free root, drives, contact sensors and a floor: B bodies, D joint coordinates.
+    """A robot with a free root, drives, contact sensors and a floor."""
 
-    Attributes:
-        spec: for tasks that add more; compile it anew after a change.
-        model: `spec`, compiled.
-        layout: names and addresses of `model`.
-        drives: of all hinges and ball joints, in the order of the joints.
-        key_bodies: names of the bodies whose positions are observed, hands and feet mostly.
-        contact_bodies: names of the bodies that may touch the floor.
-        start_qpos: (Q,) the start pose, on the floor at x = y = 0.
-        mass_height: height (m) of the centre of mass above the floor in this pose.
-        action_range_rad: how far an action of 1 should move the drives' targets.
-        notes: what was added, left out and fixed, in words.
-    """
-
-    spec: mujoco.MjSpec
-    model: mujoco.MjModel
-    layout: ModelLayout
-    drives: tuple[Drive, ...]
+    spec: mujoco.MjSpec  # for tasks that add more; compile it anew after a change
+    model: mujoco.MjModel  # `spec`, compiled
+    layout: ModelLayout  # names and addresses of `model`
+    drives: tuple[Drive, ...]  # of all hinges and ball joints, in the order of the joints
+    # Names of the bodies whose positions are observed, hands and feet mostly.
     key_bodies: tuple[str, ...]
-    contact_bodies: tuple[str, ...]
-    start_qpos: npt.NDArray[np.float64]
-    mass_height: float
-    action_range_rad: float
-    notes: tuple[str, ...]
+    contact_bodies: tuple[str, ...]  # names of the bodies that may touch the floor
+    start_qpos: npt.NDArray[np.float64]  # (Q,) the start pose, on the floor at x = y = 0
+    mass_height: float  # height (m) of the centre of mass above the floor in this pose
+    action_range_rad: float  # how far an action of 1 should move the drives' targets
+    notes: tuple[str, ...]  # what was added, left out and fixed, in words
 
     @property
     def start_height(self) -> float:
@@ -115,19 +102,13 @@ class PreparedRobot:
 def load_robot(
     path: str | Path, settings: RobotSettings | None = None, where: str = "robot"
 ) -> PreparedRobot:
-    """Read and prepare a robot.
+    """Read and prepare a robot's MJCF or URDF, as `read_robot_file` and `prepare_robot`.
 
-    Args:
-        path: of an MJCF or URDF.
-        settings: what the user says of it.
-        where: path of the settings' section, for messages.
-
-    Raises:
-        ConfigError: as `read_robot_file` and `prepare_robot`; the message names the file.
+    `where` is the path of the settings' section, for messages.
     """
     file = read_robot_file(path)
     try:
-        robot = _prepare(file.spec, settings or RobotSettings(), where)
+        robot = prepare_robot(file.spec, settings, where)
     except ConfigError as error:
         message = str(error)
         raise ConfigError(message if message.startswith(where) else f"{path}: {message}") from error
@@ -138,22 +119,12 @@ def load_robot(
 def prepare_robot(
     spec: mujoco.MjSpec, settings: RobotSettings | None = None, where: str = "robot"
 ) -> PreparedRobot:
-    """Add what a task needs to a robot: free root, drives, contact sensors, floor, start pose.
+    """Add what a task needs to a spec: free root, drives, contact sensors, floor, start pose.
 
-    Args:
-        spec: of the robot; it is not changed.
-        settings: what the user says of it.
-        where: path of the settings' section, for messages.
-
-    Raises:
-        ConfigError: it is no robot, several ones or one with loops; MuJoCo refuses it; names or
-            patterns of the settings match nothing, or a joint has no drive.
+    Raises ConfigError if it is no robot, several ones or one with loops, MuJoCo refuses it, names
+    or patterns of the settings match nothing, or a joint has no drive.
     """
-    return _prepare(spec.copy(), settings or RobotSettings(), where)
-
-
-def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> PreparedRobot:
-    """Prepare a robot as `prepare_robot`, in its own spec."""
+    settings = settings or RobotSettings()
     notes = structure.name_everything(spec)
     notes += structure.check_equalities(spec)
     keys = _compile(spec)
@@ -184,7 +155,7 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     add_drives(spec, drives)
     structure.add_contact_sensors(spec)
     notes.append("reused the file's floor" if spec.worldbody.geoms else "added a floor")
-    add_stage(spec)
+    structure.add_stage(spec)
     final = _compile(spec)
     final.qpos0[3:7] = qpos[3:7]  # upright, which the rotations of its clips are compared with
     return PreparedRobot(

@@ -45,11 +45,7 @@ class RobotSettings:
 
 
 def read_drives(drives: Mapping[str, Any] | None, where: str) -> dict[str, DriveSettings]:
-    """Return the settings of each pattern.
-
-    Raises:
-        ConfigError: a key or value is wrong.
-    """
+    """Return the settings of each pattern."""
     return {
         str(pattern): read_section(DriveSettings, values, f"{where}.{pattern}", complete=True)
         for pattern, values in (drives or {}).items()

@@ -37,17 +37,9 @@ class _Leg:
     """Two hinges with parallel level axes and the foot that they move, in the hip's plane.
 
     Vectors are complex numbers in the plane that the hip swings the leg in: a turn about the hip's
-    axis adds to the angle.
-
-    Attributes:
-        hip: id of the hinge that swings the leg.
-        knee: id of the next hinge whose axis is parallel.
-        end: id of the last body.
-        thigh: from hip to knee, m.
-        shank: from knee to foot, m.
-        down: a unit vector.
-        knee_sign: -1 if the knee's axis is opposed to the hip's.
-        ahead: how far the plane's first and second direction point along x.
+    axis adds to the angle. `hip` and `knee` are ids of hinges, `end` of the last body; thigh and
+    shank are in m, `down` is a unit vector. `knee_sign` is -1 if the knee's axis is opposed to the
+    hip's; `ahead` is how far the plane's two directions point along x.
     """
 
     hip: int
@@ -63,13 +55,9 @@ class _Leg:
 def bend_legs(model: mujoco.MjModel, qpos: Vector) -> Vector | None:
     """Return the pose with each foot below its hip at 0.75 of the leg's length, or None.
 
-    Knees are behind where a leg can bend to both sides. None: the robot has fewer than four legs,
-    stands with them sprawled, one of them cannot do so within the limits of its joints, or not all
-    feet are on the floor then.
-
-    Args:
-        model: of a robot with a free root.
-        qpos: (Q,) the pose to start from, such as zero angles.
+    Knees are behind where a leg can bend to both sides. The search starts from the pose `qpos`
+    (Q,). None: the robot has fewer than four legs, stands with them sprawled, one of them cannot do
+    so within the limits of its joints, or not all feet are on the floor then.
     """
     # The limbs that touch the floor, or all limbs of a robot that lies on its trunk.
     ends = [model.body(name).id for name in limb_ends(model, qpos)]

@@ -26,13 +26,9 @@ def initial_positions(
 ) -> dict[str, npt.NDArray[np.float64]]:
     """Return the positions of all joints by name, in the pose that `RobotSettings` describes.
 
-    Args:
-        model: of the robot's file, with its keyframes.
-        pose: name of a keyframe, angles by patterns of hinges, or None.
-        where: key of the pose, for messages.
-
-    Raises:
-        ConfigError: no such keyframe; a pattern matches no hinge; an angle is no number.
+    That is the name of a keyframe, angles by patterns of hinges, or None. `where` is its key, for
+    messages. Raises ConfigError if there is no such keyframe, a pattern matches no hinge, or an
+    angle is no number.
     """
     if pose is None or isinstance(pose, str):
         return _joint_positions(model, _keyframe(model, pose or None, where))
@@ -87,11 +83,8 @@ def start_pose(
 ) -> npt.NDArray[np.float64]:
     """Return the start pose (Q,) of a robot with a free root, at x = y = 0; followers follow.
 
-    Args:
-        model: of the robot.
-        positions: of joints by name; others keep the model's initial ones.
-        height: of the base's origin (m); None puts the lowest point of the robot `CLEARANCE` above
-            the floor.
+    Joints without a position keep the model's initial one. A height (m) of the base's origin of
+    None puts the lowest point of the robot `CLEARANCE` above the floor.
     """
     qpos = np.array(model.qpos0)
     for joint in range(model.njnt):
@@ -110,12 +103,7 @@ def start_pose(
 def start_height(model: mujoco.MjModel, qpos: npt.ArrayLike) -> float:
     """Return the height of the base (m) at which the lowest point is `CLEARANCE` above z = 0.
 
-    Args:
-        model: with a free root as its first joint.
-        qpos: (Q,) pose; its height does not count.
-
-    Raises:
-        ConfigError: no geom of the robot can touch anything.
+    The height in the pose (Q,) does not count. Raises ConfigError if no geom can touch anything.
     """
     lows = lowest_points(model, posed(model, qpos))
     if not lows:

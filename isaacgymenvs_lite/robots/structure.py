@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
+from typing import Any
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import ConfigError, listed, printable
+from isaacgymenvs_lite.paths import assets_dir
 from isaacgymenvs_lite.simulation.model_layout import CONTACT_SENSOR_PREFIX
 
 _FREE, _SLIDE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_SLIDE
@@ -51,13 +54,10 @@ def _free_name(name: str, taken: Iterable[str]) -> str:
 
 
 def keep_one_robot(spec: mujoco.MjSpec) -> tuple[mujoco.MjsBody, list[str]]:
-    """Remove all but the robot and return its root, with notes.
+    """Remove all but the robot and return its root, with notes; ConfigError without one robot.
 
     Scenery (bodies without joints, all geoms of the world) and objects (free bodies without
     children) go. A plane of the world stays if it is the floor, as contact pairs may name it.
-
-    Raises:
-        ConfigError: there is no robot, or there are several.
     """
     roots = [body for body in spec.worldbody.bodies if not body.mocap and _moves(body)]
     robots = [body for body in roots if body.bodies or not _is_free(body)] or roots
@@ -94,9 +94,7 @@ def free_root(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> list[str]:
     """Give the root a free joint if it has none; return notes.
 
     Slides at the root emulate a base that moves in a plane: they and the hinges beside them go.
-
-    Raises:
-        ConfigError: the robot is mounted on the world by a hinge or a ball joint.
+    Raises ConfigError if the robot is mounted on the world by a hinge or a ball joint.
     """
     if _is_free(root):
         return []
@@ -163,11 +161,7 @@ def check_equalities(spec: mujoco.MjSpec) -> list[str]:
 
 
 def check_numbers(model: mujoco.MjModel) -> None:
-    """Refuse a model with numbers that no robot has, or that are none: MuJoCo compiles them.
-
-    Raises:
-        ConfigError: naming the body, geom or joint.
-    """
+    """Raise a ConfigError for numbers that no robot has, or that are none: MuJoCo compiles them."""
     rows = {"body": model.body, "geom": model.geom, "joint": model.joint}
     for field, (quantity, most, unit) in _LARGEST.items():
         values = np.atleast_2d(getattr(model, field).T).T
@@ -219,3 +213,63 @@ def add_contact_sensors(spec: mujoco.MjSpec) -> None:
         sensor.type, sensor.objtype = mujoco.mjtSensor.mjSENS_CONTACT, mujoco.mjtObj.mjOBJ_BODY
         sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_BODY, "world"
         sensor.intprm[:3] = (force, net_force, 1)
+
+
+_STAGE = "mjcf/parts/stage.xml"
+_PREFIX = "stage/"
+_MAX_ITERATIONS = 100
+_ITERATIONS = ("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations")
+_COPIED_OF_FLOOR = ("pos", "quat", "size", "condim", "friction", "material", "group", "rgba")
+
+
+def add_stage(spec: mujoco.MjSpec) -> None:
+    """Add floor, light and solver settings of the project's models; a floor of the file is reused.
+
+    The robot's own cone, impratio and contact parameters stay. The floor is called `floor`, is at z
+    = 0 and collides with every geom of the robot that can collide.
+    """
+    stage = mujoco.MjSpec.from_string(
+        '<mujoco model="stage"><include file="stage.xml"/></mujoco>',
+        include={"stage.xml": (assets_dir() / _STAGE).read_bytes()},
+    )
+    _take_options(spec, stage)
+    _copy_fields(stage.visual, spec.visual)
+    own = next(iter(spec.worldbody.geoms), None)
+    bits = [(geom.contype, geom.conaffinity) for geom in spec.geoms]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of files of meshes, which the stage does not have
+        spec.attach(stage, frame=spec.worldbody.add_frame(), prefix=_PREFIX)
+    floor = spec.geom(f"{_PREFIX}floor")
+    if own is not None:
+        for name in _COPIED_OF_FLOOR:
+            setattr(own, name, getattr(floor, name))
+        spec.delete(floor)
+        for pair in spec.pairs:  # before the rename: they name the floor
+            pair.geomname1 = "floor" if pair.geomname1 == own.name else pair.geomname1
+            pair.geomname2 = "floor" if pair.geomname2 == own.name else pair.geomname2
+        floor = own
+    floor.name = "floor"
+    for contype, conaffinity in bits:
+        floor.contype |= conaffinity
+        floor.conaffinity |= contype
+
+
+def _take_options(spec: mujoco.MjSpec, stage: mujoco.MjSpec) -> None:
+    option = spec.option
+    option.timestep, option.integrator = stage.option.timestep, stage.option.integrator
+    option.solver = stage.option.solver
+    option.disableflags, option.enableflags = stage.option.disableflags, stage.option.enableflags
+    for name in _ITERATIONS:
+        setattr(option, name, min(getattr(option, name), _MAX_ITERATIONS))
+
+
+def _copy_fields(source: Any, target: Any) -> None:
+    """Copy all numbers of a nested MuJoCo structure."""
+    for name in (name for name in dir(source) if not name.startswith("_")):
+        value = getattr(source, name)
+        if isinstance(value, (int, float)):
+            setattr(target, name, value)
+        elif hasattr(value, "__len__"):
+            getattr(target, name)[:] = value
+        elif not callable(value):
+            _copy_fields(value, getattr(target, name))

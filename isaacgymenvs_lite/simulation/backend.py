@@ -54,6 +54,43 @@ class SimulationBackend(Protocol):
     object_names: tuple[str, ...]
     """K names in the order of the object tensors; none in models without objects."""
 
+    root_states: Tensor
+    """(N, 13) position, rotation xyzw, linear and angular velocity of the free root body.
+
+    All in world axes, of the body's origin; m, m/s, rad/s.
+    """
+
+    dof_pos: Tensor
+    """(N, D) rad (or m for slide joints); rotation vectors for ball joints."""
+
+    dof_vel: Tensor
+    """(N, D) rad/s (or m/s); child-frame angular velocity for ball joints."""
+
+    contact_forces: Tensor
+    """(N, B, 3) net contact force on each body in world axes (N).
+
+    Of the last physics step; zero for environments written since then.
+    """
+
+    object_states: Tensor
+    """(N, K, 13) as `root_states`, of the objects."""
+
+    object_contact_forces: Tensor
+    """(N, K, 3) net contact force on each object in world axes (N).
+
+    Of the last physics step; zero for objects written since then, and if the model has no
+    `contact_<object>` sensors.
+    """
+
+    failed: Tensor
+    """(N,) bool: the simulation, the robot or an object, diverged in the last `step()`.
+
+    Its state was not finite or beyond what is physical: MuJoCo's warnings BADQPOS, BADQVEL and
+    BADQACC (an absolute value above 1e10), after which MuJoCo itself resets the simulation
+    without an error, or a speed above 1000 rad/s or m/s. It was reset to its default state; the
+    task ends the episode.
+    """
+
     num_failures: int
     """How often a simulation diverged since the start, all environments together."""
 
@@ -64,24 +101,6 @@ class SimulationBackend(Protocol):
     @property
     def dt(self) -> float:
         """Simulated time of one `step()` in s."""
-        ...
-
-    @property
-    def root_states(self) -> Tensor:
-        """(N, 13) position, rotation xyzw, linear and angular velocity of the free root body.
-
-        All in world axes, of the body's origin; m, m/s, rad/s.
-        """
-        ...
-
-    @property
-    def dof_pos(self) -> Tensor:
-        """(N, D) rad (or m for slide joints); rotation vectors for ball joints."""
-        ...
-
-    @property
-    def dof_vel(self) -> Tensor:
-        """(N, D) rad/s (or m/s); child-frame angular velocity for ball joints."""
         ...
 
     @property
@@ -105,14 +124,6 @@ class SimulationBackend(Protocol):
         ...
 
     @property
-    def contact_forces(self) -> Tensor:
-        """(N, B, 3) net contact force on each body in world axes (N).
-
-        Of the last physics step; zero for environments written since then.
-        """
-        ...
-
-    @property
     def dof_forces(self) -> Tensor:
         """(N, D) torques (Nm; N of slides) of actuators, springs and dampers on the joints.
 
@@ -122,52 +133,19 @@ class SimulationBackend(Protocol):
         ...
 
     def sensor(self, *names: str) -> Tensor:
-        """Return what sensors of the model measured in the last physics step, (N, k).
+        """Return what named sensors of the model measured in the last physics step, (N, k).
 
         Zero for environments written since then. MuJoCo's units, and world axes unless the sensor
         has a frame of its own; `contact` sensors measure the force that their first body exerts.
         Sensors that are neighbours in the model, in this order, are read in one go.
-
-        Args:
-            names: as in the model, at least one.
-
-        Raises:
-            ConfigError: the model has no such sensor.
-        """
-        ...
-
-    @property
-    def object_states(self) -> Tensor:
-        """(N, K, 13) as `root_states`, of the objects."""
-        ...
-
-    @property
-    def object_contact_forces(self) -> Tensor:
-        """(N, K, 3) net contact force on each object in world axes (N).
-
-        Of the last physics step; zero for objects written since then, and if the model has no
-        `contact_<object>` sensors.
-        """
-        ...
-
-    @property
-    def failed(self) -> Tensor:
-        """(N,) bool: the simulation, the robot or an object, diverged in the last `step()`.
-
-        Its state was not finite or beyond what is physical: MuJoCo's warnings BADQPOS, BADQVEL and
-        BADQACC (an absolute value above 1e10), after which MuJoCo itself resets the simulation
-        without an error, or a speed above 1000 rad/s or m/s. It was reset to its default state; the
-        task ends the episode.
         """
         ...
 
     def expand(self, field: str) -> npt.NDArray[Any]:
         """Give a field of the model a value for each environment; return them, (N, ...), to write.
 
-        Poses of bodies and joints (`body_pos`, `jnt_axis`, ...) must not be changed.
-
-        Args:
-            field: as in `MjModel`, or `opt.<field>` of its options.
+        The field is one of `MjModel`, or `opt.<field>` of its options. Poses of bodies and joints
+        (`body_pos`, `jnt_axis`, ...) must not be changed.
         """
         ...
 
@@ -186,31 +164,20 @@ class SimulationBackend(Protocol):
     def write_state(
         self, env_ids: Tensor, root_states: Tensor, dof_pos: Tensor, dof_vel: Tensor
     ) -> None:
-        """Set n environments to a new state.
+        """Set n environments, each once, to root states (n, 13), positions and velocities (n, D).
 
         Their objects go back to their places in the model, at rest. All memory of the earlier state
         (warm start, controls, contact forces) is cleared; the other environments are left
         bit-identical.
-
-        Args:
-            env_ids: (n,) int64, each once, in any order.
-            root_states: (n, 13) as `root_states`.
-            dof_pos: (n, D) as `dof_pos`.
-            dof_vel: (n, D) as `dof_vel`.
         """
         ...
 
     def write_object_states(self, env_ids: Tensor, object_ids: Tensor, states: Tensor) -> None:
-        """Set k objects of n environments to new states.
+        """Set k objects (places in `object_names`) of n environments to states (n, k, 13).
 
-        The rest of these environments, the robot included, and the other environments are left
-        bit-identical. The solver's warm start of these environments is cleared, so that the
-        next steps depend on their states and controls alone.
-
-        Args:
-            env_ids: (n,) int64, each once, in any order.
-            object_ids: (k,) int64, places in `object_names`, each once, in any order.
-            states: (n, k, 13) as `object_states`.
+        Ids are given once, in any order. The rest of these environments, the robot included, and
+        the other environments are left bit-identical. The solver's warm start of these environments
+        is cleared, so that the next steps depend on their states and controls alone.
         """
         ...
 
@@ -221,8 +188,7 @@ class SimulationBackend(Protocol):
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from what `state_dict` returned, bit by bit, in simulations of an equal model.
 
-        Raises:
-            KeyError, TypeError, ValueError, RuntimeError: the state is of other simulations.
+        A state of other simulations raises KeyError, TypeError, ValueError or RuntimeError.
         """
         ...
 
@@ -254,10 +220,6 @@ def make_simulation(
         substeps: physics steps of one control step.
         num_threads: CPU worker threads; 0 for as many CPUs as have enough work.
         backend: `cpu_batch`, the only one so far.
-
-    Raises:
-        ConfigError: an unknown backend, a number out of range, or simulations that exceed the
-            memory of this machine.
     """
     from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
 

@@ -55,17 +55,9 @@ _VIEWS = (
 
 
 class CpuBatchSimulation:
-    """N simulations of one model on a thread pool; implements `SimulationBackend`.
+    """N simulations of one model on a thread pool; arguments as of `make_simulation`.
 
-    Args:
-        model: the compiled model; its timestep is one physics step.
-        num_envs: N, at least 1.
-        substeps: physics steps of one `step()`.
-        num_threads: worker threads; 0 for as many of the CPUs that this process may use as have
-            enough work. Results do not depend on it.
-
-    Raises:
-        ConfigError: a number out of range.
+    Results do not depend on the number of threads.
     """
 
     device = torch.device("cpu")
@@ -159,12 +151,9 @@ class CpuBatchSimulation:
 
     @property
     def batch(self) -> Batch:
-        """MuJoCo's batch of simulations, for tests and debugging.
+        """MuJoCo's batch of simulations, for tests and debugging; RuntimeError after `close`.
 
         After a change of its state the tensors are current again after the next step.
-
-        Raises:
-            RuntimeError: the simulation was closed.
         """
         if self._batch is None:
             raise RuntimeError("the simulation was closed; make a new task to go on")

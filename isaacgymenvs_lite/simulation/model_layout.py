@@ -23,40 +23,27 @@ CONTACT_SENSOR_PREFIX = "contact_"
 
 @dataclass(frozen=True)
 class ModelLayout:
-    """Names and addresses of one model: B bodies, D degrees of freedom, K objects.
+    """Names and addresses of one model: B bodies, D degrees of freedom, K objects."""
 
-    Attributes:
-        body_names: B names without the world and the objects; body tensors use this order.
-        dof_names: D names in joint order, `<joint>_x/_y/_z` for the three of a ball joint.
-        dof_body_ids: (G,) body of each joint group, in the order of `body_names`.
-        dof_offsets: (G + 1,) first degree of freedom of each group; the last entry is D.
-        dof_vel_adr: first degree of freedom of the joints in qvel (6 after a free root).
-        ball_qpos: (balls, 4) qpos columns of each ball joint's quaternion, as xyzw.
-        ball_dofs: (balls, 3) the degrees of freedom of each ball joint.
-        scalar_qpos: (scalars,) qpos columns of hinges and slides.
-        scalar_dofs: (scalars,) their degrees of freedom.
-        contact_columns: (B, 3) columns of sensordata with the net contact force of each body, or
-            None when the model has no `contact_<body>` sensors.
-        has_free_root: whether the first joint is a free joint.
-        object_names: K names; object tensors use this order.
-        object_contact_columns: (K, 3) as `contact_columns`, of the objects.
-        sensor_columns: where in sensordata the values of each named sensor are.
-    """
-
+    # B names without the world and the objects; body tensors use this order.
     body_names: tuple[str, ...]
+    # D names in joint order, `<joint>_x/_y/_z` for the three of a ball joint.
     dof_names: tuple[str, ...]
-    dof_body_ids: tuple[int, ...]
+    dof_body_ids: tuple[int, ...]  # (G,) body of each joint group, in the order of `body_names`
+    # (G + 1,) first degree of freedom of each group; the last entry is D.
     dof_offsets: tuple[int, ...]
-    dof_vel_adr: int
-    ball_qpos: np.ndarray
-    ball_dofs: np.ndarray
-    scalar_qpos: np.ndarray
-    scalar_dofs: np.ndarray
+    dof_vel_adr: int  # first degree of freedom of the joints in qvel (6 after a free root)
+    ball_qpos: np.ndarray  # (balls, 4) qpos columns of each ball joint's quaternion, as xyzw
+    ball_dofs: np.ndarray  # (balls, 3) the degrees of freedom of each ball joint
+    scalar_qpos: np.ndarray  # (scalars,) qpos columns of hinges and slides
+    scalar_dofs: np.ndarray  # (scalars,) their degrees of freedom
+    # (B, 3) columns of sensordata with the net contact force of each body, or None when the model
+    # has no `contact_<body>` sensors.
     contact_columns: np.ndarray | None
-    has_free_root: bool
-    object_names: tuple[str, ...]
-    object_contact_columns: np.ndarray | None
-    sensor_columns: dict[str, slice]
+    has_free_root: bool  # whether the first joint is a free joint
+    object_names: tuple[str, ...]  # K names; object tensors use this order
+    object_contact_columns: np.ndarray | None  # (K, 3) as `contact_columns`, of the objects
+    sensor_columns: dict[str, slice]  # where in sensordata the values of each named sensor are
 
     @property
     def num_dofs(self) -> int:
@@ -76,11 +63,10 @@ class ModelLayout:
 
     @classmethod
     def from_model(cls, model: mujoco.MjModel) -> ModelLayout:
-        """Read the layout of a compiled model.
+        """Read the layout of a compiled model, or raise a ConfigError.
 
-        Raises:
-            ConfigError: a free joint that is neither the first joint of the model nor an object's,
-                after all other bodies; contact sensors of some bodies but not of others.
+        A free joint is neither the first joint of the model nor an object's, after all other
+        bodies; or there are contact sensors of some bodies but not of others.
         """
         num_objects = _count_objects(model)
         has_free_root = model.njnt > 0 and model.jnt_type[0] == _FREE

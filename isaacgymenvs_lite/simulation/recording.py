@@ -37,34 +37,25 @@ _IDENTITY = (
 
 @dataclass(frozen=True)
 class Recording:
-    """The last control steps of a simulation that diverged in the last of them.
+    """The last control steps of a simulation that diverged in the last of them."""
 
-    Attributes:
-        states: (K, S) MuJoCo's `mjSTATE_INTEGRATION` before each control step, controls included.
-        substeps: physics steps of a control step.
-        model_id: see `model_identity`.
-        fields: values of the model's fields that this simulation has for itself, by name.
-        env_id: its environment.
-        control_step: control steps of the task before the last one of the recording.
-        task: name of the task; '' if it is not known.
-    """
-
+    # (K, S) MuJoCo's `mjSTATE_INTEGRATION` before each control step, controls included.
     states: Doubles
-    substeps: int
-    model_id: str
+    substeps: int  # physics steps of a control step
+    model_id: str  # see `model_identity`
+    # Values of the model's fields that this simulation has for itself, by name.
     fields: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
-    env_id: int = 0
-    control_step: int = 0
-    task: str = ""
+    env_id: int = 0  # its environment
+    control_step: int = 0  # control steps of the task before the last one of the recording
+    task: str = ""  # name of the task; '' if it is not known
 
 
 class StepHistory:
     """Keeps the states of N simulations before each of their last control steps.
 
-    Args:
-        rows: (N, S) their current states, a view that the simulation writes to.
-        num_changing: how many first values of a state change. The others keep the values that the
-            first simulation has now: most of a state are applied forces, which nothing here uses.
+    `rows` (N, S) are their current states, a view that the simulation writes to, of which the first
+    `num_changing` values change. The others keep the values that the first simulation has now: most
+    of a state are applied forces, which nothing here uses.
     """
 
     def __init__(self, rows: Doubles, num_changing: int) -> None:
@@ -106,11 +97,7 @@ def model_identity(model: mujoco.MjModel) -> str:
 
 
 def write_recording(path: Path, recording: Recording) -> None:
-    """Write a recording to an .npz file.
-
-    Raises:
-        ConfigError: the file cannot be written.
-    """
+    """Write a recording to an .npz file."""
     arrays: dict[str, Any] = {
         "format": np.array(_FORMAT),
         "version": np.array(_VERSION),
@@ -125,11 +112,7 @@ def write_recording(path: Path, recording: Recording) -> None:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read what `write_recording` wrote; nothing of a stranger's file is executed.
-
-    Raises:
-        ConfigError: the file is missing, damaged or no recording.
-    """
+    """Read what `write_recording` wrote; nothing of a stranger's file is executed."""
     if not path.is_file():
         raise ConfigError(f"{path}: no such file; expected <run>/diverged/<name>.npz")
     try:

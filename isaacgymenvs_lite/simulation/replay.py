@@ -38,11 +38,9 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 @dataclass(frozen=True)
 class Largest:
-    """The largest absolute value of a physics step, and the joint that it belongs to.
+    """The largest absolute value of a physics step, and the name of its joint.
 
-    Attributes:
-        value: in rad or m, per s or s^2; nan or inf where a number is not finite.
-        joint: its name, `joint <number>` without one.
+    In rad or m, per s or s^2; nan or inf where a number is not finite.
     """
 
     value: float
@@ -51,34 +49,20 @@ class Largest:
 
 @dataclass(frozen=True)
 class PhysicsStep:
-    """A physics step of a replay.
+    """A physics step of a replay."""
 
-    Attributes:
-        control_step: of the recording, 0 is the oldest.
-        physics_step: within the control step.
-        time_s: simulated time after the step, since the start of the recording.
-        acceleration: `qacc` of the step, rad/s^2 or m/s^2.
-        speed: `qvel` after the step, rad/s or m/s; of free joints in world axes.
-        is_sound: whether the state after it is finite and no joint is faster than `MAX_SPEED`.
-    """
-
-    control_step: int
-    physics_step: int
-    time_s: float
-    acceleration: Largest
-    speed: Largest
-    is_sound: bool
+    control_step: int  # of the recording, 0 is the oldest
+    physics_step: int  # within the control step
+    time_s: float  # simulated time after the step, since the start of the recording
+    acceleration: Largest  # `qacc` of the step, rad/s^2 or m/s^2
+    speed: Largest  # `qvel` after the step, rad/s or m/s; of free joints in world axes
+    is_sound: bool  # whether the state after it is finite and no joint is faster than `MAX_SPEED`
 
 
 def replay(recording: Recording, model: mujoco.MjModel) -> Iterator[PhysicsStep]:
     """Yield the physics steps of a recording, up to the first whose state is not sound.
 
-    Args:
-        recording: what a simulation kept.
-        model: the same model; see `check_model`.
-
-    Raises:
-        ConfigError: states or fields of the recording do not fit the model.
+    Raises ConfigError if states or fields of the recording do not fit the model.
     """
     model = _own_model(recording, model)
     data = mujoco.MjData(model)
@@ -154,11 +138,7 @@ def _largest(values: npt.NDArray[np.float64], joints: list[str]) -> Largest:
 
 
 def table(recording: Recording, model: mujoco.MjModel) -> Iterator[str]:
-    """Yield the lines that show a recording.
-
-    Raises:
-        ConfigError: it does not fit the model.
-    """
+    """Yield the lines that show a recording."""
     first = recording.control_step
     of_task = f" of {recording.task}" if recording.task else ""
     yield f"environment {recording.env_id}{of_task}, control steps {first} to" + (
@@ -189,12 +169,7 @@ def table(recording: Recording, model: mujoco.MjModel) -> Iterator[str]:
 
 
 def main(arguments: list[str] | None, make_model: ModelMaker) -> int:
-    """Run the command line; return the exit code.
-
-    Args:
-        arguments: words; None: of the program.
-        make_model: makes the model of a recording; this package does not contain tasks.
-    """
+    """Run the command line; `make_model` knows the tasks, which this package does not."""
     parser = argparse.ArgumentParser(
         prog="isaacgymenvs-lite replay",
         description=__doc__,

@@ -126,12 +126,7 @@ def as_tensor(buffer: Floats) -> Tensor:
 
 
 class StateConverter:
-    """Converts rows of qpos and qvel into state buffers, and states into such rows.
-
-    Args:
-        model: the compiled model.
-        layout: its layout.
-    """
+    """Converts rows of qpos and qvel into state buffers, and states into such rows."""
 
     def __init__(self, model: mujoco.MjModel, layout: ModelLayout) -> None:
         self._layout = layout
@@ -146,13 +141,7 @@ class StateConverter:
 
     @np.errstate(all="ignore")  # a simulation may be diverging
     def fill(self, buffers: StateBuffers, qpos_rows: Doubles, qvel_rows: Doubles) -> None:
-        """Fill in everything but the contact forces and the bodies.
-
-        Args:
-            buffers: of n environments.
-            qpos_rows: (n, nq) in MuJoCo's conventions.
-            qvel_rows: (n, nv) in MuJoCo's conventions.
-        """
+        """Fill in all but contact forces and bodies, of rows (n, nq), (n, nv) of the batch."""
         layout = self._layout
         buffers.bodies_are_current = buffers.has_body_velocities = False
         qpos = buffers.qpos
@@ -213,14 +202,9 @@ class StateConverter:
     def rows(
         self, root_states: Tensor, dof_pos: Tensor, dof_vel: Tensor
     ) -> tuple[Doubles, Doubles]:
-        """Return qpos (n, nq) and qvel (n, nv) of the states of n environments.
+        """Return qpos (n, nq) and qvel (n, nv) of n states in the layout of `SimulationBackend`.
 
         The objects are at their places in the model, at rest.
-
-        Args:
-            root_states: (n, 13) as `SimulationBackend.root_states`.
-            dof_pos: (n, D) as `SimulationBackend.dof_pos`.
-            dof_vel: (n, D) as `SimulationBackend.dof_vel`.
         """
         layout = self._layout
         angles = dof_pos.numpy().T.astype(np.float64)
@@ -243,13 +227,7 @@ class StateConverter:
 
 
 def fill_free_states(states: Floats, qpos: Floats | Doubles, qvel: Floats | Doubles) -> None:
-    """Compute states from the coordinates of free joints.
-
-    Args:
-        states: (13, ..., n), filled in.
-        qpos: (7, ..., n).
-        qvel: (6, ..., n).
-    """
+    """Compute states (13, ..., n) from coordinates (7, ..., n), (6, ..., n) of free joints."""
     states[:7] = qpos[_QPOS_ROWS]
     states[7:] = qvel
     rotations = unit_quats(states[3:7].copy())

@@ -25,7 +25,7 @@ import numpy as np
 
 import isaacgymenvs_lite
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.rendering.terrain_window import TerrainWindow
+from isaacgymenvs_lite.rendering.scene import TerrainWindow
 from isaacgymenvs_lite.rendering.tracks import PoseReader, markers_of
 from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay
 from isaacgymenvs_lite.viewers.window import press_key

@@ -21,7 +21,7 @@ from isaacgymenvs_lite.commands import demo
 from isaacgymenvs_lite.commands.demo import DemoSettings, run_demo
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
-from isaacgymenvs_lite.motion.formats import deepmimic_package
+from isaacgymenvs_lite.motion.formats import deepmimic
 from isaacgymenvs_lite.runner import run
 from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, train_in
 
@@ -151,7 +151,7 @@ def test_all_leaves_out_a_policy_whose_clip_is_not_installed(assets, tmp_path, m
     for name, clip in (("flip", "deepmimic:backflip"), ("walk", "walk")):
         pack_policy(checkpoint, name, clip, folder=tmp_path / "assets" / "policies")
     monkeypatch.setattr(paths, "shipped_policies_dir", lambda: tmp_path / "assets" / "policies")
-    monkeypatch.setattr(deepmimic_package, "_PACKAGE", "no_such_package")
+    monkeypatch.setattr(deepmimic, "_PACKAGE", "no_such_package")
     with caplog.at_level(logging.INFO):
         assert run_demo(DemoSettings(out=str(tmp_path), seconds=0.1)) == [tmp_path / "walk.mp4"]
     assert "flip is left out: 'deepmimic:backflip' belongs to the package" in caplog.text

@@ -18,12 +18,12 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.export.export import scene_of
 from isaacgymenvs_lite.export.exportable_policy import make_exportable_policy
 from isaacgymenvs_lite.export.formats import FORMATS
 from isaacgymenvs_lite.export.metadata import describe
-from isaacgymenvs_lite.export.scene import scene_of
-from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
-from isaacgymenvs_lite.motion.joint_clip import JointClip
+from isaacgymenvs_lite.motion.clip import JointClip
+from isaacgymenvs_lite.motion.formats.robot_clip import save_robot_npz
 from tests.export.conftest import scramble
 from tests.tiny import composed
 

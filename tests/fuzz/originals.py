@@ -19,14 +19,12 @@ from isaacgymenvs_lite.checkpoints.packed import read_policy_info
 from isaacgymenvs_lite.checkpoints.run_config import read_run_config
 from isaacgymenvs_lite.commands.check import describe
 from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.motion.clip import JointClip
 from isaacgymenvs_lite.motion.formats.deepmimic import save_deepmimic
-from isaacgymenvs_lite.motion.formats.joint_csv import save_joint_csv
+from isaacgymenvs_lite.motion.formats.joint_csv import save_joint_csv, save_robot_csv
 from isaacgymenvs_lite.motion.formats.npz import load_npz, save_npz
 from isaacgymenvs_lite.motion.formats.poselib import save_poselib_npy
-from isaacgymenvs_lite.motion.formats.robot_clip import read_joint_clip
-from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
-from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
-from isaacgymenvs_lite.motion.joint_clip import JointClip
+from isaacgymenvs_lite.motion.formats.robot_clip import read_joint_clip, save_robot_npz
 from isaacgymenvs_lite.motion.loader import load_clips, shipped_motions_dir
 from isaacgymenvs_lite.motion.retargeting.bvh import read_bvh
 from isaacgymenvs_lite.motion.retargeting.robot_mapping import load_robot_mapping

@@ -33,15 +33,13 @@ def armed() -> Skeleton:
 @pytest.fixture
 def tiny() -> Skeleton:
     """A root, an arm on a ball joint 1 m above it, a hand on a hinge 1 m in front of the arm."""
-    return Skeleton(
-        body_names=("root", "arm", "hand"),
-        parent_indices=(-1, 0, 1),
-        local_translation=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
-        dof_body_ids=(1, 2),
-        dof_offsets=(0, 3, 4),
-        foot_body_ids=(),
-        foot_corners=np.zeros((0, 3)),
-    )
+    geom = '<geom size="0.1" contype="0" conaffinity="0"/>'
+    text = f"""
+<mujoco><worldbody><body name="root"><freejoint/>{geom}
+  <body name="arm" pos="0 0 1"><joint name="arm" type="ball"/>{geom}
+    <body name="hand" pos="1 0 0"><joint name="hand" axis="0 1 0"/>{geom}</body></body>
+</body></worldbody></mujoco>"""
+    return Skeleton.from_model(mujoco.MjModel.from_xml_string(text))
 
 
 # Rest rotations, an oblique hinge and one that is 0.3 rad at rest, three hinges on one body, joints

@@ -11,10 +11,9 @@ import pytest
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
-from isaacgymenvs_lite.motion.formats.robot_npz import load_robot_npz
-from isaacgymenvs_lite.motion.gait import GaitSettings, main, make_gait, write_gait
-from isaacgymenvs_lite.motion.joint_clip import JointClip
-from isaacgymenvs_lite.motion.legs import find_legs
+from isaacgymenvs_lite.motion.clip import JointClip
+from isaacgymenvs_lite.motion.formats.robot_clip import read_joint_clip
+from isaacgymenvs_lite.motion.gait import GaitSettings, find_legs, main, make_gait, write_gait
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.robots.load import PreparedRobot, load_robot
@@ -85,7 +84,7 @@ def test_knees_by_the_law_of_cosines(robot) -> None:
 def test_the_shipped_trot_is_what_its_command_makes(robot) -> None:
     clip = make_gait(robot, SHIPPED)
     path = paths.assets_dir() / "amp" / "robot_motions" / "quadruped_trot.npz"
-    shipped = load_robot_npz(path)
+    shipped = read_joint_clip(path)
     assert (shipped.fps, shipped.joint_names) == (clip.fps, clip.joint_names)
     np.testing.assert_allclose(shipped.dof_pos, clip.dof_pos, atol=1e-6)
     np.testing.assert_allclose(shipped.root_pos, clip.root_pos, atol=1e-9)
@@ -137,7 +136,7 @@ def test_legs_are_found_in_any_order(tmp_path) -> None:
 def test_knees_bend_to_the_wanted_side(tmp_path, knees, front, rear) -> None:
     places = {"fl": (0.3, 0.1), "fr": (0.3, -0.1), "rl": (-0.3, 0.1), "rr": (-0.3, -0.1)}
     settings = GaitSettings(speed=0.3, seconds=0.5, knees=knees)
-    clip = load_robot_npz(
+    clip = read_joint_clip(
         write_gait(str(quadruped_of(tmp_path, places)), str(tmp_path / "out.npz"), settings)
     )
     # A knee is behind where the shank turns forward: a negative angle about y (to the left).
@@ -151,7 +150,7 @@ def test_a_robot_that_looks_along_y_is_turned(tmp_path) -> None:
     path.write_text(path.read_text().replace('"0 1 0"', '"-1 0 0"').replace('"1 0 0"', '"0 1 0"'))
     turn = (0.0, 0.0, -math.sqrt(0.5), math.sqrt(0.5))
     settings = GaitSettings(seconds=0.5, speed=0.3, start_rotation=turn)
-    clip = load_robot_npz(write_gait(str(path), str(tmp_path / "out.npz"), settings))
+    clip = read_joint_clip(write_gait(str(path), str(tmp_path / "out.npz"), settings))
     np.testing.assert_allclose(clip.root_rot, np.tile(turn, (31, 1)), atol=1e-12)
     # As the one that looks along x: the legs are the same, and swing in their own planes.
     along_x = quadruped_of(tmp_path, {name: (y, -x) for name, (x, y) in places.items()})
@@ -199,7 +198,7 @@ def test_command(tmp_path, capsys) -> None:
     out = str(tmp_path / "walk.npz")
     words = [str(MJCF / "anymal.xml"), out, "gait=walk", "speed=0.5", "seconds=0.5"]
     assert main(words) == 0
-    assert load_robot_npz(out).num_frames == 31
+    assert read_joint_clip(out).num_frames == 31
     with pytest.raises(SystemExit):
         main(words)
     assert "exists already; overwrite=True" in capsys.readouterr().err

@@ -4,8 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from isaacgymenvs_lite.rendering.scene import SceneRenderer
-from isaacgymenvs_lite.rendering.terrain_window import TerrainWindow
+from isaacgymenvs_lite.rendering.scene import SceneRenderer, TerrainWindow
 from isaacgymenvs_lite.rendering.view import View
 
 ROBOT = """<body pos="0 0 {height}"><freejoint/><geom type="box" size=".3 .2 .1"/></body>"""

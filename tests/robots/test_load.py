@@ -52,17 +52,6 @@ def test_a_complete_robot():
     assert any("hip, knee" in line for line in robot.describe())
 
 
-def test_the_spec_of_the_user_does_not_change(tmp_path):
-    text = mjcf(base='<joint name="z" type="slide" axis="0 0 1"/>')
-    path = written(tmp_path / "r.xml", text)
-    load_robot(path)
-    assert path.read_text() == text
-    spec = mujoco.MjSpec.from_string(text)
-    before = spec.to_xml()
-    prepare_robot(spec)
-    assert spec.to_xml() == before
-
-
 def test_a_base_without_a_free_joint_gets_one():
     for base, note in (
         ("", "base 'base' got a free joint"),

@@ -55,9 +55,23 @@ class FootFigures:
     swing_clearance_m: float
 
 
+def sole_corners(skeleton: Skeleton, positions: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Return the world positions (T, 2, 4, 3) m of the soles' corners, right foot first.
+
+    `positions` (T, J, 3) m and `rotation` (T, J, 4) xyzw are of the bodies in the world.
+    """
+    soles = []
+    for name in ("right_foot", "left_foot"):
+        foot = skeleton.body_names.index(name)
+        corners = skeleton.foot_corners[[body == foot for body in skeleton.foot_body_ids]]
+        sole = corners[corners[:, 2] == corners[:, 2].min()]
+        soles.append(kinematics.world_points([foot] * len(sole), sole, positions, rotation))
+    return np.stack(soles, axis=1)
+
+
 def foot_figures(clip: MotionClip, skeleton: Skeleton) -> FootFigures:
     """Measure the feet of a clip on flat ground at z = 0."""
-    corners = skeleton.sole_corners(*clip.global_poses())
+    corners = sole_corners(skeleton, *clip.global_poses())
     height = corners[..., 2]
     touching = height < CONTACT_HEIGHT_M
     on_ground: npt.NDArray[np.bool_] = np.asarray(touching.any(axis=-1))

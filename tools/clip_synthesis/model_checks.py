@@ -50,7 +50,7 @@ def pressure_outside(
     up = np.where(carried, force[:, 2], np.nan)
     x = com[:, 0] - (com[:, 2] * force[:, 0] + moment[:, 1]) / up
     y = com[:, 1] - (com[:, 2] * force[:, 1] - moment[:, 0]) / up
-    corners = skeleton.sole_corners(*clip.global_poses()).reshape(clip.num_frames, -1, 3)
+    corners = checks.sole_corners(skeleton, *clip.global_poses()).reshape(clip.num_frames, -1, 3)
     # A foot that lands or leaves touches in one of the frames that the differences are taken of.
     low = corners[..., 2] < near_m
     low = low[:-2] | low[1:-1] | low[2:]

@@ -13,15 +13,16 @@ forearm. Sword and shield are not kept above the ground.
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import logging
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
-from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.errors import MotionFileError, suggest
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MAX_PLACE_M, MIN_FPS, MotionClip
 from isaacgymenvs_lite.motion.formats.files import read_json, reading, written_clip
@@ -29,6 +30,106 @@ from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.plausibility import is_in_air, put_on_ground
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
+
+PREFIX = "deepmimic:"
+_PACKAGE = "pybullet_data"
+# The clips of humanoids; the folder has a dog as well.
+_PACKAGE_FOLDERS = {"": "humanoid3d_*.txt", "walker": "*.txt"}
+_SHORT_FOR = "humanoid3d_"
+
+_KINDS = {
+    "walk": ("humanoid3d_walk", "walker/0walk_forward"),
+    "turn": tuple(f"walker/turn_{side}{number}" for side in ("left", "right") for number in (0, 1)),
+    "run": ("humanoid3d_run",),
+    "jump": ("humanoid3d_jump",),
+    "crawl": ("humanoid3d_crawl",),
+    "get up": ("humanoid3d_getup_facedown", "humanoid3d_getup_faceup"),
+    "acrobatics": (
+        "humanoid3d_backflip",
+        "humanoid3d_cartwheel",
+        "humanoid3d_roll",
+        "humanoid3d_spin",
+    ),
+    "strike": ("humanoid3d_kick", "humanoid3d_punch", "humanoid3d_spinkick"),
+    "dance": ("humanoid3d_dance_a", "humanoid3d_dance_b"),
+}
+_KIND_OF = {clip: kind for kind, clips in _KINDS.items() for clip in clips}
+# The gaits with a steady speed on two feet: jump starts and ends at rest.
+_LOCOMOTION = ("walk", "turn", "run")
+_LOCOMOTION_SET, _ALL_SET = "locomotion", "all"
+
+
+class PackageClip(NamedTuple):
+    """A clip of the package by its full name; the weights of one data set have the sum 1."""
+
+    name: str
+    path: Path
+    weight: float
+
+
+def is_package_name(motion_file: str | Path) -> bool:
+    """Return whether `motion_file` names a clip or a data set of the package."""
+    return str(motion_file).startswith(PREFIX)
+
+
+def clips_in_package() -> list[str]:
+    """Return the full names of all clips, such as `deepmimic:humanoid3d_walk`."""
+    return [PREFIX + name for name in _paths_of_clips(PREFIX + _ALL_SET)]
+
+
+def find_in_package(motion_file: str) -> list[PackageClip]:
+    """Return the clip, or the clips of the data set, with the name `deepmimic:<name>`.
+
+    `walk` is short for `humanoid3d_walk`; the clips of the folder walker are `walker/turn_left0`.
+    The data set `locomotion` holds walking, turning and running, `all` every clip. In a data set
+    all kinds of movement have the same weight, and the clips of a kind share it: neither long
+    clips nor kinds with many clips outweigh the others. A clip of unknown kind is its own kind.
+
+    Raises:
+        MotionFileError: the package is not installed, or has no such clip or data set.
+    """
+    name = motion_file.removeprefix(PREFIX)
+    paths = _paths_of_clips(motion_file)
+    gaits = [clip for kind in _LOCOMOTION for clip in _KINDS[kind]]
+    if name in (_ALL_SET, _LOCOMOTION_SET):
+        names = list(paths) if name == _ALL_SET else gaits
+        kinds = [_KIND_OF.get(clip, clip) for clip in names]
+        missing = [clip for clip in names if clip not in paths]
+        if missing:
+            raise MotionFileError(
+                f"'{motion_file}': the installed {_PACKAGE} lacks {', '.join(missing)}; "
+                "pybullet 3.2.7 has all clips"
+            )
+        return [
+            PackageClip(PREFIX + clip, paths[clip], 1.0 / (len(set(kinds)) * kinds.count(kind)))
+            for clip, kind in zip(names, kinds, strict=True)
+        ]
+    for full_name in (name, _SHORT_FOR + name):
+        if full_name in paths:
+            return [PackageClip(PREFIX + full_name, paths[full_name], 1.0)]
+    known = [_ALL_SET, _LOCOMOTION_SET, *paths, *(clip.removeprefix(_SHORT_FOR) for clip in paths)]
+    raise MotionFileError(
+        f"unknown DeepMimic clip or data set '{name}'{suggest(name, known)}; "
+        f"data sets: {_ALL_SET}, {_LOCOMOTION_SET}; clips: {', '.join(paths)}"
+    )
+
+
+def _paths_of_clips(motion_file: str) -> dict[str, Path]:
+    """Return the files of all clips by their full names without prefix, sorted."""
+    spec = importlib.util.find_spec(_PACKAGE)
+    if spec is None or not spec.submodule_search_locations:
+        raise MotionFileError(
+            f"'{motion_file}' belongs to the package {_PACKAGE}, which is not installed; "
+            'pip install "isaacgymenvs-lite[motions]"'
+        )
+    folder = Path(spec.submodule_search_locations[0]) / "data" / "motions"
+    paths = {
+        path.relative_to(folder).with_suffix("").as_posix(): path
+        for sub, pattern in _PACKAGE_FOLDERS.items()
+        for path in (folder / sub).glob(pattern)
+    }
+    return dict(sorted(paths.items()))
+
 
 _log = logging.getLogger(__name__)
 
@@ -81,10 +182,6 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
     whole clip is lifted by a constant, so that the lowest corner of a foot just touches it. If that
     leaves the whole body above the ground, the clip is put on it, see `plausibility.put_on_ground`.
     Velocities are differences, smoothed as in poselib's files.
-
-    Raises:
-        MotionFileError: no rows of 44 finite numbers, fewer than two, a duration that is not
-            above 0, quaternions far from unit length; the skeleton lacks joints of DeepMimic's.
     """
     with reading(name, "DeepMimic clip"):
         return _clip(data, skeleton, name)
@@ -149,12 +246,7 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
 
 
 def check_columns(data: dict[str, Any], name: str) -> None:
-    """Check that the rows are not those of another robot.
-
-    Raises:
-        MotionFileError: all rows have another length than DeepMimic's; the line names the family of
-            files, and what can be read.
-    """
+    """Raise a MotionFileError that names the family of files if rows are another robot's."""
     rows = data.get("Frames")
     widths = {len(row) for row in rows if isinstance(row, list)} if isinstance(rows, list) else ()
     columns = next(iter(widths), NUM_COLUMNS)
@@ -226,9 +318,8 @@ def _lifted(
     positions, turns = kinematics.forward_kinematics(
         skeleton.parent_indices, skeleton.local_translation, local, root
     )
-    lowest_m = kinematics.lowest_point_height(
-        skeleton.foot_body_ids, skeleton.foot_corners, positions, turns
-    )
+    feet = (skeleton.foot_body_ids, skeleton.foot_corners)
+    lowest_m = float(kinematics.world_points(*feet, positions, turns)[..., 2].min())
     if lowest_m >= 0.0:
         return root
     if lowest_m < -_LOGGED_LIFT_M:
@@ -240,10 +331,6 @@ def save_deepmimic(path: str | Path, clip: MotionClip) -> Path:
     """Write a clip of the humanoid, with `Loop` "none"; returns the path.
 
     The format has no hands, sword and shield, velocities and limb lengths.
-
-    Raises:
-        MotionFileError: the clip is not valid or lacks joints of DeepMimic's, or the file cannot be
-            written.
     """
     clip.validate()
     missing = [body for body in MOVED_BODIES if body not in clip.body_names]

@@ -17,16 +17,9 @@ from isaacgymenvs_lite.utils import files
 
 @contextmanager
 def reading(path: str | Path, kind: str) -> Iterator[None]:
-    """Turn whatever a broken file raises in a reader into one error that names the file.
+    """Turn whatever a broken file raises in a reader of `kind` into one error that names the file.
 
     Numpy does not warn meanwhile of numbers that overflow: a clip with such numbers is refused.
-
-    Args:
-        path: of the file.
-        kind: what the reader reads, for the message.
-
-    Raises:
-        MotionFileError: anything but a UserError was raised.
     """
     try:
         with np.errstate(all="ignore"):
@@ -52,11 +45,7 @@ def native_floats(array: npt.NDArray[Any]) -> npt.NDArray[np.floating]:
 
 
 def read_json(path: str | Path) -> dict[str, Any]:
-    """Return the JSON object in the file at `path`.
-
-    Raises:
-        MotionFileError: the file is no JSON text, or holds no object.
-    """
+    """Return the JSON object in the file at `path`."""
     with reading(path, "JSON text of a poselib or DeepMimic clip"):
         data = json.loads(Path(path).read_text(encoding="utf-8"))
     if not isinstance(data, dict):
@@ -69,11 +58,7 @@ def read_json(path: str | Path) -> dict[str, Any]:
 
 @contextmanager
 def written_clip(path: Path) -> Iterator[Path]:
-    """Write a clip as `files.atomic_write` does, with errors that speak of a clip.
-
-    Raises:
-        MotionFileError: the folder is missing, cannot be written or is full.
-    """
+    """Write a clip as `files.atomic_write` does, with errors that speak of a clip."""
     try:
         with files.atomic_write(path) as partial:
             yield partial
@@ -85,16 +70,7 @@ def written_clip(path: Path) -> Iterator[Path]:
 
 
 def check_output(path: Path, suffixes: Collection[str], overwrite: bool) -> None:
-    """Check the path of an output before any work is done for it.
-
-    Args:
-        path: of the file to write.
-        suffixes: suffixes of the known formats.
-        overwrite: an existing file may be replaced.
-
-    Raises:
-        MotionFileError: no such format or folder, or the file exists and may not be replaced.
-    """
+    """Raise a MotionFileError for an output that cannot be written, before any work is done."""
     if path.suffix not in suffixes:
         raise MotionFileError(
             f"{path}: the suffix determines the format of the output, found '{path.suffix}'; "

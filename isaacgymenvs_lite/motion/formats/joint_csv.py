@@ -1,81 +1,135 @@
-"""Clips of the humanoids as tables of joint angles (`.csv`), for spreadsheets, pandas and others.
+"""Clips as tables of joint angles (`.csv`), of the humanoids and of robots.
 
-The header names each column and its unit: `time [s]`, `root_x [m]`, ..., `root_qx`, ..., then
-every degree of freedom of the humanoid, such as `abdomen_x [rad]`. docs/motion_formats.md
-describes them. `formats.robot_csv` has the tables of robots, and shares the functions below.
+This project's header names each column and its unit: `time [s]`, `root_x [m]`, ..., `root_qx`, ...,
+then every degree of freedom, such as `abdomen_x [rad]`; see docs/motion_formats.md. Two more forms
+of robots' tables are read:
+
+- Without a header: root position (m), root quaternion xyzw, joint angles (rad), 30 fps. Unitree's
+  retargeted LAFAN1 has it (README of unitreerobotics/LAFAN1_Retargeting_Dataset on Hugging Face),
+  and mjlab and whole_body_tracking read it (scripts/csv_to_npz.py). Kimodo's tables have wxyz
+  (convert_g1_csv_to_proto.py, see below).
+- BONES-SEED: `Frame`, `root_translateX`, ... in cm, `root_rotateX`, ... in degrees about the fixed
+  axes x, y, z in this order, then `left_hip_pitch_joint_dof`, ... in degrees, 120 fps. Layout,
+  units and rate are what public converters use (data/scripts/convert_g1_csv_to_proto.py of
+  NVlabs/ProtoMotions, scripts/motion/bones_seed_csv_to_npz.py of UniLab, sonic2mimic.py of an
+  mjlab fork); the data set itself was not read.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import itertools
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from isaacgymenvs_lite.errors import MotionFileError, unknown
-from isaacgymenvs_lite.motion.clip import MAX_JOINT_RAD, MotionClip
+from isaacgymenvs_lite.motion.clip import MAX_JOINT_RAD, JointClip, MotionClip
 from isaacgymenvs_lite.motion.formats.files import reading, written_clip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import dofs_of_clip, rotations_from_dofs
-from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.utils import rotations
 
-TIME = "time"
-POSITION = ("root_x", "root_y", "root_z")
-ROTATION = ("root_qx", "root_qy", "root_qz", "root_qw")
+_TIME = "time"
+_POSITION = ("root_x", "root_y", "root_z")
+_ROTATION = ("root_qx", "root_qy", "root_qz", "root_qw")
+_OWN = (_TIME, *_POSITION, *_ROTATION)
 # Factors to the unit of the clip; the first of each kind is the one that is written.
 _TIME_UNITS = {"s": 1.0, "ms": 1e-3}
-LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
 _COLUMN = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
 _FPS_LINE = re.compile(r"#\s*fps\s*[:=]\s*(?P<fps>\S+)\s*", re.IGNORECASE)
 # How much a time step may differ from the others; times are often rounded to milliseconds.
 _STEP_TOLERANCE = 0.1
+_LAFAN1_FPS, _BONES_FPS = 30.0, 120.0
+_ROOT_WIDTH = 7
+_BONES_FRAME = "Frame"
+_BONES_POSITION = tuple(f"root_translate{axis}" for axis in "XYZ")
+_BONES_ROTATION = tuple(f"root_rotate{axis}" for axis in "XYZ")
+_ARM_7 = (
+    *("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"),
+    *("wrist_roll", "wrist_pitch", "wrist_yaw"),
+)
+
+
+def _sides(joints: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"{side}_{joint}_joint" for side in ("left", "right") for joint in joints)
+
+
+# Orders of joints in Unitree's LAFAN1, as its README lists them, and in the robots' model files.
+G1_29 = (
+    *_sides(("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")),
+    *("waist_yaw_joint", "waist_roll_joint", "waist_pitch_joint"),
+    *_sides(_ARM_7),
+)
+_H1_2_27 = (
+    *_sides(("hip_yaw", "hip_pitch", "hip_roll", "knee", "ankle_pitch", "ankle_roll")),
+    "torso_joint",
+    *_sides(_ARM_7),
+)
+_H1_19 = (
+    *_sides(("hip_yaw", "hip_roll", "hip_pitch", "knee", "ankle")),
+    "torso_joint",
+    *_sides(_ARM_7[:4]),
+)
+# A table without a header is recognised by its number of joints.
+_BY_NUMBER = {len(names): names for names in (G1_29, _H1_2_27, _H1_19)}
+_ARMS_START = ("",) * 3  # the arms begin three levels below the root
+_LEVELS = itertools.zip_longest(
+    *(G1_29[:6], G1_29[6:12], G1_29[12:15]),
+    *(_ARMS_START + G1_29[15:22], _ARMS_START + G1_29[22:]),
+    fillvalue="",
+)
+G1_29_BREADTH_FIRST = tuple(joint for level in _LEVELS for joint in level if joint)
+"""The order of Isaac Lab, which numbers bodies and joints level by level."""
 
 
 def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Path:
     """Write a clip whose bodies are in the order of `skeleton`; returns the path.
 
     The format has no velocities, limb lengths and rotations of hinges out of their axes.
-
-    Raises:
-        MotionFileError: the clip is not valid, or the file cannot be written.
     """
     clip.validate()
     root = (clip.root_translation, clip.local_rotation[:, 0])
     table = np.concatenate((*root, dofs_of_clip(skeleton, clip)), axis=1)
-    return write_table(path, table, skeleton.dof_names, clip.fps)
+    return _write_table(path, table, skeleton.dof_names, clip.fps)
+
+
+def save_robot_csv(path: str | Path, clip: JointClip) -> Path:
+    """Write a robot's clip, with names of its joints; as `save_joint_csv`."""
+    clip.validate()
+    table = np.concatenate((clip.root_pos, clip.root_rot, clip.dof_pos), axis=1, dtype=np.float64)
+    return _write_table(path, table, clip.joint_names or (), clip.fps)
 
 
 def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
     """Read a clip; the columns may be in any order, angles in rad or deg, lengths in m, cm, mm.
 
-    Args:
-        path: of the file. Without a column `time` its first line is `# fps: 30`.
-        skeletons: the humanoids that it may belong to; the DOFs in the header determine which.
-
-    Raises:
-        MotionFileError: no header, columns that are missing, unknown, double or in an unknown unit;
-            rows of another length or with something else than finite numbers; unequal time steps.
+    Without a column `time` the first line is `# fps: 30`. The DOFs in the header determine which of
+    the skeletons it is.
     """
     with reading(path, "table of joint angles"):
-        lines, fps = read_lines(path)
-        names, units = read_header(lines[0], path)
+        lines, fps = _read_lines(path)
+        names, units = _read_header(lines[0], path)
         # The humanoid with most of the named DOFs; of equal ones the one with fewest others.
         skeleton = max(
             skeletons,
             key=lambda body: (len(set(body.dof_names) & set(names)), -body.num_dofs),
         )
-        known = (TIME, *POSITION, *ROTATION, *skeleton.dof_names)
+        known = (*_OWN, *skeleton.dof_names)
         others = [name for name in names if name not in known]
         if others:
             raise MotionFileError(f"{path}: {unknown('column', others[0], known)}")
-        check_columns(names, known[1:], path)
-        column = read_columns(names, units, lines[1:], path)
-        dofs = joined(column, skeleton.dof_names)
+        _check_columns(names, known[1:], path)
+        column = _read_columns(names, units, lines[1:], path)
+        dofs = _joined(column, skeleton.dof_names)
         if np.abs(dofs).max() > MAX_JOINT_RAD:
             raise MotionFileError(
                 f"{path}: a joint angle is {np.abs(dofs).max():.3g} rad, expected at most "
@@ -83,19 +137,79 @@ def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionCli
             )
         return MotionClip.from_poses(
             str(path),
-            frame_rate(column, fps, path),
+            _frame_rate(column, fps, path),
             skeleton.body_names,
             skeleton.parent_indices,
             skeleton.local_translation,
-            rotations_from_dofs(skeleton, joined(column, ROTATION), dofs),
-            joined(column, POSITION),
+            rotations_from_dofs(skeleton, _joined(column, _ROTATION), dofs),
+            _joined(column, _POSITION),
         )
 
 
-# --- tables of joint angles, of humanoids and of robots -------------------------------------------
+def is_robot_csv(path: str | Path) -> bool:
+    """Return whether a table is a robot's: most of its joints are not a shipped humanoid's."""
+    header = _read_lines(path)[0][0]
+    if _is_number(header[0]):
+        return True
+    joints = set(_read_header(header, path)[0]) - set(_OWN)
+    of_humanoids = {
+        name for number in SHIPPED_NUM_DOFS for name in skeleton_for_num_dofs(number).dof_names
+    }
+    return len(joints & of_humanoids) < len(joints) / 2
 
 
-def read_lines(path: str | Path) -> tuple[list[list[str]], float | None]:
+def load_robot_csv(path: str | Path, fps: float | None = None) -> JointClip:
+    """Read a robot's table in any of the three forms; errors as of `load_joint_csv`.
+
+    `fps` is the rate of a file without one; None: as usual for its form.
+    """
+    lines, file_fps = _read_lines(path)
+    fps = file_fps or fps
+    if len(lines[0]) == 1:
+        raise MotionFileError(
+            f"{path}: has one column, expected several with commas between them; the first "
+            f"line begins with '{lines[0][0][:40]}'"
+        )
+    if _is_number(lines[0][0]):
+        table = _read_numbers(lines, len(lines[0]), path)
+        if table.shape[1] <= _ROOT_WIDTH:
+            raise MotionFileError(
+                f"{path}: has {table.shape[1]} columns and no header, expected root position "
+                "(3), root quaternion (4) and at least one joint"
+            )
+        position, rotation, dof_pos = np.split(table, (3, _ROOT_WIDTH), axis=1)
+        names = _BY_NUMBER.get(dof_pos.shape[1])
+        return JointClip(str(path), fps or _LAFAN1_FPS, position, rotation, dof_pos, names)
+    names, units = _read_header(lines[0], path)
+    is_bones = _BONES_POSITION[0] in names
+    others = (_BONES_FRAME, *_BONES_POSITION, *_BONES_ROTATION) if is_bones else _OWN
+    _check_columns(names, others[1:], path)
+    joints = [name for name in names if name not in others]
+    if not joints:
+        raise MotionFileError(f"{path}: the header names no joint columns after the root columns")
+    if not is_bones:
+        column = _read_columns(names, units, lines[1:], path)
+        rate = _frame_rate(column, fps, path)
+        position, rotation = _joined(column, _POSITION), _joined(column, _ROTATION)
+        dof_pos = _joined(column, joints)
+        return JointClip(str(path), rate, position, rotation, dof_pos, tuple(joints))
+    table = _read_numbers(lines[1:], len(names), path)
+    column = {name: table[:, i] for i, name in enumerate(names)}
+    if _BONES_FRAME in column and not np.all(np.diff(column[_BONES_FRAME]) == 1.0):
+        raise MotionFileError(f"{path}: frames are missing, '{_BONES_FRAME}' is not 0, 1, 2, ...")
+    angles = (torch.from_numpy(np.deg2rad(column[name])) for name in _BONES_ROTATION)
+    return JointClip(
+        str(path),
+        fps or _BONES_FPS,
+        _joined(column, _BONES_POSITION) * _LENGTH_UNITS["cm"],
+        rotations.quat_from_euler_xyz(*angles).numpy(),
+        np.deg2rad(_joined(column, joints)),
+        tuple(name.removesuffix("_dof") for name in joints),
+        file_quat_order=None,
+    )
+
+
+def _read_lines(path: str | Path) -> tuple[list[list[str]], float | None]:
     """Return the cells of the header and of the rows, and the rate of the line `# fps:`."""
     lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     comments = [line for line in lines if line.startswith("#")]
@@ -105,13 +219,10 @@ def read_lines(path: str | Path) -> tuple[list[list[str]], float | None]:
             f"{path}: holds {len(rows)} line(s), expected a header and rows of numbers"
         )
     rates = [match["fps"] for line in comments if (match := _FPS_LINE.fullmatch(line))]
-    if rates and not is_number(rates[0]):
-        raise MotionFileError(f"{path}: fps is {rates[0]!r}, expected a number")
     return rows, float(rates[0]) if rates else None
 
 
-def is_number(text: str) -> bool:
-    """Return whether a cell is a number rather than a name of a column."""
+def _is_number(text: str) -> bool:
     try:
         float(text)
     except ValueError:
@@ -119,7 +230,7 @@ def is_number(text: str) -> bool:
     return True
 
 
-def read_header(cells: list[str], path: str | Path) -> tuple[list[str], list[str | None]]:
+def _read_header(cells: list[str], path: str | Path) -> tuple[list[str], list[str | None]]:
     """Return the names of the columns, and their units."""
     header = [match for text in cells if (match := _COLUMN.fullmatch(text))]
     if len(header) != len(cells):
@@ -131,8 +242,7 @@ def read_header(cells: list[str], path: str | Path) -> tuple[list[str], list[str
     return names, [match["unit"] for match in header]
 
 
-def check_columns(names: list[str], needed: Iterable[str], path: str | Path) -> None:
-    """Raise a MotionFileError for a header that lacks columns."""
+def _check_columns(names: list[str], needed: Iterable[str], path: str | Path) -> None:
     missing = [name for name in needed if name not in names]
     if missing:
         raise MotionFileError(
@@ -141,11 +251,11 @@ def check_columns(names: list[str], needed: Iterable[str], path: str | Path) -> 
         )
 
 
-def read_columns(
+def _read_columns(
     names: list[str], units: list[str | None], rows: list[list[str]], path: str | Path
 ) -> dict[str, FloatArray]:
     """Return the columns (T) by their names, in s, m and rad."""
-    table = read_numbers(rows, len(names), path)
+    table = _read_numbers(rows, len(names), path)
     column = {}
     for i, (name, unit) in enumerate(zip(names, units, strict=True)):
         choices = _units_of(name)
@@ -159,21 +269,20 @@ def read_columns(
     return column
 
 
-def joined(column: Mapping[str, FloatArray], names: Iterable[str]) -> FloatArray:
-    """Return the named columns (T) as one array (T, number of names)."""
+def _joined(column: Mapping[str, FloatArray], names: Iterable[str]) -> FloatArray:
     return np.stack([column[name] for name in names], axis=-1)
 
 
 def _units_of(name: str) -> dict[str, float]:
-    if name == TIME:
+    if name == _TIME:
         return _TIME_UNITS
-    if name in POSITION:
-        return LENGTH_UNITS
-    return {} if name in ROTATION else _ANGLE_UNITS
+    if name in _POSITION:
+        return _LENGTH_UNITS
+    return {} if name in _ROTATION else _ANGLE_UNITS
 
 
-def read_numbers(rows: list[list[str]], width: int, path: str | Path) -> FloatArray:
-    """Return the rows (T, width) as numbers."""
+def _read_numbers(rows: list[list[str]], width: int, path: str | Path) -> FloatArray:
+    """Return the rows as finite numbers (T, width)."""
     for i, row in enumerate(rows):
         if len(row) != width:
             raise MotionFileError(
@@ -186,19 +295,15 @@ def read_numbers(rows: list[list[str]], width: int, path: str | Path) -> FloatAr
     return table
 
 
-def frame_rate(column: Mapping[str, FloatArray], fps: float | None, path: str | Path) -> float:
-    """Return the frames per second that the column `time` shows; without it, `fps`.
-
-    Raises:
-        MotionFileError: there is neither, or the time steps are unequal.
-    """
-    if TIME not in column:
+def _frame_rate(column: Mapping[str, FloatArray], fps: float | None, path: str | Path) -> float:
+    """Return the frames per second that the column `time` shows; without it, `fps`."""
+    if _TIME not in column:
         if fps is None:
             raise MotionFileError(
                 f"{path}: has no column 'time [s]'; add one, or the first line '# fps: 30'"
             )
         return fps
-    steps = np.diff(column[TIME])
+    steps = np.diff(column[_TIME])
     if len(steps) == 0:
         raise MotionFileError(f"{path}: holds 1 frame, expected at least 2")
     mean = float(steps.mean())
@@ -210,20 +315,16 @@ def frame_rate(column: Mapping[str, FloatArray], fps: float | None, path: str | 
     return 1.0 / mean
 
 
-def write_table(
-    path: str | Path, table: FloatArray, joint_names: Sequence[str] | None, fps: float
+def _write_table(
+    path: str | Path, table: FloatArray, joint_names: Sequence[str], fps: float
 ) -> Path:
-    """Write the root's position and rotation and the joints (T, 7 + D) m, rad; returns the path.
-
-    D names make a header with units and a column of times at `fps`; None: neither.
-    """
+    """Write times, and the root's position and rotation and the joints (T, 7 + D) in m and rad."""
+    table = np.concatenate((np.arange(len(table))[:, None] / fps, table), axis=1)
+    names = (*_OWN, *joint_names)
+    units = [next(iter(_units_of(name)), None) for name in names]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    if joint_names is not None:
-        table = np.concatenate((np.arange(len(table))[:, None] / fps, table), axis=1)
-        names = (TIME, *POSITION, *ROTATION, *joint_names)
-        units = [next(iter(_units_of(name)), None) for name in names]
-        writer.writerow(f"{n} [{u}]" if u else n for n, u in zip(names, units, strict=True))
+    writer.writerow(f"{n} [{u}]" if u else n for n, u in zip(names, units, strict=True))
     writer.writerows([f"{value:.12g}" for value in row] for row in table.tolist())
     path = Path(path)
     with written_clip(path) as partial:

@@ -31,9 +31,6 @@ def save_npz(path: str | Path, clip: MotionClip) -> Path:
 
     The bytes depend on the clip only (no time stamps), and a file of the same name is replaced in
     one step.
-
-    Raises:
-        MotionFileError: the clip itself is not valid, or the file cannot be written.
     """
     clip.validate()
     arrays = {
@@ -64,40 +61,32 @@ def write_arrays(
 
 
 def load_npz(path: str | Path) -> MotionClip:
-    """Read a clip; velocities that the file does not hold are computed from its poses.
-
-    Raises:
-        MotionFileError: the file is damaged, is no clip, is of a newer version, or holds a clip
-            that is not valid.
-    """
+    """Read a clip; velocities that the file does not hold are computed from its poses."""
     with reading(path, _EXPECTED):
-        return _clip(read_arrays(path, _KNOWN_KEYS), path)
-
-
-def _clip(arrays: dict[str, npt.NDArray], path: str | Path) -> MotionClip:
-    missing = [key for key in _NEEDED_KEYS if key not in arrays]
-    if missing:
-        raise MotionFileError(
-            f"{path}: lacks {', '.join(missing)}; found {', '.join(sorted(arrays)) or 'nothing'}; "
-            "docs/motion_formats.md lists the keys of a clip"
-        )
-    check_version(arrays, path)
-    for key in (*_FLOAT_KEYS, *_VELOCITY_KEYS, *_OPTIONAL_KEYS):
-        if key in arrays:
-            check_kind(arrays[key], key, "f", path)
-    check_kind(arrays["body_names"], "body_names", "U", path)
-    check_kind(arrays["parent_indices"], "parent_indices", "iu", path)
-    names = tuple(str(name) for name in arrays["body_names"].ravel())
-    parents = tuple(int(parent) for parent in arrays["parent_indices"].ravel())
-    fps = one_number(arrays["fps"], "fps", path)
-    stored = [key for key in (*_FLOAT_KEYS, *_OPTIONAL_KEYS) if key in arrays]
-    poses = {key: native_floats(arrays[key]) for key in stored}
-    if any(key not in arrays for key in _VELOCITY_KEYS):
-        return MotionClip.from_poses(str(path), fps, names, parents, **poses)
-    velocities = {key: native_floats(arrays[key]) for key in _VELOCITY_KEYS}
-    clip = MotionClip(str(path), fps, names, parents, **poses, **velocities)
-    clip.validate()
-    return clip
+        arrays = read_arrays(path, _KNOWN_KEYS)
+        missing = [key for key in _NEEDED_KEYS if key not in arrays]
+        if missing:
+            found = ", ".join(sorted(arrays)) or "nothing"
+            raise MotionFileError(
+                f"{path}: lacks {', '.join(missing)}; found {found}; docs/motion_formats.md lists"
+                " the keys of a clip"
+            )
+        check_version(arrays, path)
+        kinds = {"body_names": "U", "parent_indices": "iu"}
+        for key, array in arrays.items():
+            if key not in ("version", "fps"):
+                check_kind(array, key, kinds.get(key, "f"), path)
+        names = tuple(str(name) for name in arrays["body_names"].ravel())
+        parents = tuple(int(parent) for parent in arrays["parent_indices"].ravel())
+        fps = one_number(arrays["fps"], "fps", path)
+        stored = [key for key in (*_FLOAT_KEYS, *_OPTIONAL_KEYS) if key in arrays]
+        poses = {key: native_floats(arrays[key]) for key in stored}
+        if any(key not in arrays for key in _VELOCITY_KEYS):
+            return MotionClip.from_poses(str(path), fps, names, parents, **poses)
+        velocities = {key: native_floats(arrays[key]) for key in _VELOCITY_KEYS}
+        clip = MotionClip(str(path), fps, names, parents, **poses, **velocities)
+        clip.validate()
+        return clip
 
 
 def read_arrays(path: str | Path, keys: Iterable[str]) -> dict[str, npt.NDArray]:

@@ -33,24 +33,15 @@ _NEW_MODULES, _OLD_MODULES = "numpy._core.", "numpy.core."
 
 
 def load_poselib_npy(path: str | Path) -> MotionClip:
-    """Read a poselib `.npy` clip; nothing in the file is executed.
-
-    Raises:
-        MotionFileError: the file is unsafe, damaged, or holds no valid clip.
-    """
+    """Read a poselib `.npy` clip; nothing in the file is executed."""
     return clip_from_poselib(load_object_npy(path), str(path))
 
 
 def clip_from_poselib(data: Any, name: str) -> MotionClip:
     """Make a clip from the dictionary that poselib stores.
 
-    Args:
-        data: the content of the file. Arrays may be numpy arrays or, as in the `.json` variant,
-            {"__ndarray__": nested lists, "dtype": name, "shape": sizes}.
-        name: the name of the clip, the file's path.
-
-    Raises:
-        MotionFileError: a key is missing or holds something else; the clip is not valid.
+    Arrays may be numpy arrays or, as in the `.json` variant, {"__ndarray__": nested lists, "dtype":
+    name, "shape": sizes}. `name` is the file's path.
     """
     with reading(name, "poselib clip (SkeletonMotion)"):
         return _clip(data, name)
@@ -107,12 +98,7 @@ def _array(data: Mapping[str, Any], key: str, name: str) -> npt.NDArray[Any]:
 
 
 def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:
-    """Write a clip in single precision, as the published ones are; returns the path.
-
-    Raises:
-        MotionFileError: the clip is not valid, bodies move in their parents, or the file cannot be
-            written.
-    """
+    """Write a clip in single precision, as the published ones are; returns the path."""
     clip.validate()
     if np.ndim(clip.local_translation) != 2:
         raise MotionFileError(

@@ -30,14 +30,9 @@ _COMPRESSED, _ZLIB_OR_GZIP = (b"x", b"\x1f\x8b"), 32 + zlib.MAX_WBITS
 
 
 def load_object_npy(path: str | Path) -> Any:
-    """Return the content of a `.npy` file that holds one pickled object.
+    """Return the one pickled object of a `.npy` file: containers, text, numbers, numpy arrays.
 
-    Returns:
-        Dictionaries, lists, text, numbers and numpy arrays.
-
-    Raises:
-        MotionFileError: the file imports a name outside numpy's arrays, is damaged, or is no `.npy`
-            file of one object.
+    Raises MotionFileError if the file imports a name outside numpy's arrays, or is damaged.
     """
     with reading(path, _EXPECTED), Path(path).open("rb") as stream:
         is_first_version = np.lib.format.read_magic(stream) == (1, 0)
@@ -55,14 +50,9 @@ def load_object_npy(path: str | Path) -> Any:
 
 
 def load_pickle(path: str | Path, expected: str) -> Any:
-    """Return the content of a pickle file of plain values and numpy arrays.
+    """Return a pickle file's plain values and numpy arrays, as `load_object_npy`.
 
-    Args:
-        path: of the file.
-        expected: what the file should be, for the messages.
-
-    Raises:
-        MotionFileError: as `load_object_npy`.
+    `expected` is what the file should be, for messages.
     """
     with reading(path, expected):
         content = Path(path).read_bytes()

@@ -1,66 +1,113 @@
-"""Reads the clip file of a robot, whichever of the known forms it has."""
+"""Reads the clip file of a robot, whichever of the known forms it has; writes this project's.
+
+`formats.joint_csv` has the tables. The others are arrays by name, in an archive (`.npz`) or in a
+dictionary (`.pkl` by pickle or joblib, `.npy`), from which nothing is run:
+
+- This project's: format, version, fps, root_pos, root_rot xyzw, dof_pos, joint_names.
+- GMR (YanjieZe/GMR, scripts/bvh_to_robot.py): fps, root_pos, root_rot xyzw, dof_pos.
+- PHC and what follows it (retargeted H1 and G1 motions): fps, root_trans_offset, root_rot xyzw,
+  dof, mostly several motions by name.
+- MimicKit (xbpeng/MimicKit, mimickit/anim/motion.py and motion_lib.py): fps, loop_mode, frames
+  (T, 6 + D) of root position, root rotation as a rotation vector, and joints. Its first versions
+  pickled an object of a class, which is refused.
+- mjlab (mujocolab/mjlab, src/mjlab/scripts/csv_to_npz.py) and whole_body_tracking
+  (HybridRobotics/whole_body_tracking, scripts/csv_to_npz.py): fps (one number in a list),
+  joint_pos, body_pos_w and body_quat_w of all bodies, the root first, mostly without names. mjlab
+  has MuJoCo's order of joints, whole_body_tracking has Isaac Lab's, level by level; the mirrored
+  hips of a G1 show which.
+- Isaac Lab's humanoid AMP task (isaac-sim/IsaacLab, isaaclab_tasks/direct/humanoid_amp/motions/
+  motion_loader.py): fps, dof_names, dof_positions, body_names, body_positions, body_rotations.
+
+Quaternions of the last two are wxyz; Isaac Lab 3 writes xyzw. A body that does not move within the
+root shows which: only with the right order it stays in its place. Without names, joints are in the
+order of the robot's MJCF file.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
 
 from isaacgymenvs_lite.errors import MotionFileError, listed
+from isaacgymenvs_lite.motion.clip import QUAT_ORDERS, UP, JointClip, QuatOrder
 from isaacgymenvs_lite.motion.formats.files import reading
 from isaacgymenvs_lite.motion.formats.joint_csv import (
-    POSITION,
-    ROTATION,
-    TIME,
-    is_number,
-    read_header,
-    read_lines,
+    G1_29,
+    G1_29_BREADTH_FIRST,
+    is_robot_csv,
+    load_robot_csv,
 )
-from isaacgymenvs_lite.motion.formats.robot_csv import load_robot_csv
-from isaacgymenvs_lite.motion.formats.robot_dictionary import (
-    SUFFIXES,
-    is_robot_dictionary,
-    load_robot_dictionary,
+from isaacgymenvs_lite.motion.formats.npz import (
+    check_kind,
+    check_version,
+    one_number,
+    opened,
+    read_arrays,
+    write_arrays,
 )
-from isaacgymenvs_lite.motion.formats.robot_npz import is_robot_npz, load_robot_npz
-from isaacgymenvs_lite.motion.joint_clip import UP, JointClip, QuatOrder
-from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, skeleton_for_num_dofs
+from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy, load_pickle
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.utils import rotations
 
 _log = logging.getLogger(__name__)
-PICKLES = tuple(suffix for suffix in SUFFIXES if suffix != ".npy")
-_SUFFIXES = (".csv", ".npz", *SUFFIXES)
+
+PICKLES = (".pkl", ".pickle")
+_DICTIONARIES = (*PICKLES, ".npy")
+_SUFFIXES = (".csv", ".npz", *_DICTIONARIES)
+_FORMAT = "isaacgymenvs_lite.joint_clip"
+_EXPECTED = "clip of a robot"
+# The names of each part; the first ones are this project's.
+_POSITION = ("root_pos", "root_trans_offset", "root_trans", "root_translation", "root_position")
+_ROTATION = ("root_rot", "root_rotation", "root_quat")
+_JOINTS = ("dof_pos", "dof", "joint_pos", "dof_positions", "joint_positions", "joint_angles")
+_BODY_POSITION = ("body_pos_w", "body_positions")
+_BODY_ROTATION = ("body_quat_w", "body_rotations")
+_JOINT_NAMES = ("joint_names", "dof_names")
+_BODY_NAMES, _FRAMES, _FPS = "body_names", "frames", "fps"
+_KEYS = (
+    *(*_POSITION, *_ROTATION, *_JOINTS, *_BODY_POSITION, *_BODY_ROTATION, *_JOINT_NAMES),
+    *(_BODY_NAMES, _FRAMES, _FPS, "version"),
+)
+_FORMS = (
+    "fps, root_pos, root_rot, dof_pos (GMR), fps, root_trans_offset, root_rot, dof (PHC), fps, "
+    "frames (MimicKit), fps, joint_pos, body_pos_w, body_quat_w (mjlab) or fps, dof_positions, "
+    "body_positions, body_rotations (Isaac Lab), or such dictionaries by the names of motions"
+)
+# In single precision, of distances of 0.2 m anywhere within 100 m of the origin.
+_SAME_DISTANCE_M = 1e-3
+# A body nearer to the root than this does not show how the root is turned; so many frames do.
+_MIN_ARM_M, _COMPARED_FRAMES = 0.01, 256
 
 
 def looks_like_joint_clip(path: str | Path) -> bool:
     """Return whether a file is read by `read_joint_clip` rather than as a clip of a humanoid.
 
-    A table with our header is one unless its joints are mostly a shipped humanoid's. A damaged
-    file is none; its own reader says what is wrong with it.
+    A damaged file is none; its own reader says what is wrong with it.
     """
     path = Path(split_motion(path)[0])
     try:
-        if path.suffix == ".npz":
-            return is_robot_npz(path)
-        if path.suffix != ".csv":
-            return is_robot_dictionary(path)
-        with reading(path, "table of joint angles"):
-            header = read_lines(path)[0][0]
-            if is_number(header[0]):
-                return True
-            names = set(read_header(header, path)[0])
+        with reading(path, _EXPECTED):
+            if path.suffix == ".csv":
+                return is_robot_csv(path)
+            if path.suffix == ".npz":
+                with opened(path) as archive:
+                    return _is_clip(dict.fromkeys(archive.files))
+            if path.suffix == ".npy":
+                data = load_object_npy(path)
+                return isinstance(data, dict) and not {"__name__", "skeleton_tree"} & data.keys()
     except MotionFileError:
         return False
-    joints = names - {TIME, *POSITION, *ROTATION}
-    of_humanoids = {
-        name for number in SHIPPED_NUM_DOFS for name in skeleton_for_num_dofs(number).dof_names
-    }
-    return len(joints & of_humanoids) < len(joints) / 2
+    return path.suffix in PICKLES
 
 
 def split_motion(name: str | Path) -> tuple[str, str]:
     """Return the file and the motion of `FILE:MOTION`; "" of a name without a motion."""
-    for suffix in SUFFIXES:
+    for suffix in _DICTIONARIES:
         file, colon, motion = str(name).partition(f"{suffix}:")
         if colon:
             return file + suffix, motion
@@ -70,12 +117,8 @@ def split_motion(name: str | Path) -> tuple[str, str]:
 def read_joint_clip(
     path: str | Path, fps: float | None = None, quat_order: QuatOrder | None = None
 ) -> JointClip:
-    """Read a file's only clip, or the one in `FILE:MOTION`; see `read_joint_clips`.
-
-    Raises:
-        MotionFileError: also for a file of several motions.
-    """
-    clips = read_joint_clips(path, fps, quat_order=quat_order)
+    """Read a file's only clip, or the one in `FILE:MOTION`; see `read_joint_clips`."""
+    clips = read_joint_clips(path, fps, quat_order)
     if len(clips) > 1:
         raise MotionFileError(several_motions(path, [clip.name for clip in clips]))
     return clips[0]
@@ -90,7 +133,6 @@ def several_motions(path: str | Path, names: Sequence[str]) -> str:
 def read_joint_clips(
     path: str | Path,
     fps: float | None = None,
-    joint_names: Sequence[str] | None = None,
     quat_order: QuatOrder | None = None,
     up_b: Sequence[float] = UP,
     root_body: str | None = None,
@@ -101,11 +143,11 @@ def read_joint_clips(
         path: `.csv`, `.npz`, `.pkl` or `.npy`, see docs/motion_formats.md; `FILE:MOTION` is one of
             several motions in a `.pkl` or `.npy`.
         fps: frames per second of a file that has no rate (a table by default 30, BONES-SEED 120).
-        joint_names: of the file's columns, in place of those that it has or implies.
         quat_order: of the file's quaternions; None: as usual for its form, or as its bodies show.
         up_b: (3,) the upward direction in the frame of the robot's root, for the warning about a
             root that lies down.
         root_body: name of the robot's root, which is looked for in a file with names of bodies.
+            Without names, the first body but MuJoCo's world is the root.
 
     Raises:
         MotionFileError: the file is missing, hostile, damaged, none of these forms, or not valid.
@@ -116,18 +158,185 @@ def read_joint_clips(
         raise MotionFileError(
             f"{path}: a robot's clip ends in {', '.join(_SUFFIXES)}, found '{path.suffix}'"
         )
-    with reading(path, "clip of a robot"):
+    with reading(path, _EXPECTED):
         if path.suffix == ".csv":
             clips = [load_robot_csv(path, fps)]
-        elif path.suffix == ".npz":
-            clips = [load_robot_npz(path, joint_names, root_body)]
         else:
-            clips = load_robot_dictionary(path, motion, fps)
+            clips = [
+                _clip(content, f"{path}:{name}" if name else str(path), fps, root_body)
+                for name, content in _motions(path, motion).items()
+            ]
         for i, clip in enumerate(clips):
-            if joint_names is not None:
-                clip = dataclasses.replace(clip, joint_names=tuple(joint_names))
             clip.validate()
             clips[i] = clip if quat_order is None else clip.reread(quat_order)
             for oddity in clips[i].oddities(up_b):
                 _log.warning("%s: %s", clip.name, oddity)
         return clips
+
+
+def _motions(path: Path, motion: str) -> dict[str, Mapping[str, Any]]:
+    """Return the motion of this name, or all if it is ""; "" is the name of a file's only one."""
+    if path.suffix == ".npz":
+        data: Any = read_arrays(path, _KEYS)
+        if _POSITION[0] in data:
+            check_version(data, path)
+    else:
+        data = load_object_npy(path) if path.suffix == ".npy" else load_pickle(path, _EXPECTED)
+    if _is_clip(data):
+        motions = {"": data}
+    elif isinstance(data, dict) and data and all(map(_is_clip, data.values())):
+        motions = {str(name): content for name, content in data.items()}
+    else:
+        inner = next(iter(data.values()), None) if isinstance(data, dict) else None
+        content = inner if isinstance(inner, dict) else data
+        keys = listed([str(key) for key in content], 20) if isinstance(content, dict) else ""
+        raise MotionFileError(
+            f"{path}: holds {keys or type(data).__name__}, expected the keys {_FORMS}"
+        )
+    if motion and motion not in motions:
+        names = listed([name for name in motions if name], 20)
+        raise MotionFileError(f"{path}: has no motion '{motion}'; it has {names or 'one clip'}")
+    return {name: content for name, content in motions.items() if motion in ("", name)}
+
+
+def _is_clip(data: Any) -> bool:
+    if not isinstance(data, dict):
+        return False
+
+    def has(*parts: Sequence[str]) -> bool:
+        return all(any(key in data for key in part) for part in parts)
+
+    of_root, of_bodies = has(_POSITION, _ROTATION), has(_BODY_POSITION, _BODY_ROTATION)
+    return (has(_JOINTS) and (of_root or of_bodies)) or {_FRAMES, _FPS} <= data.keys()
+
+
+def _clip(
+    data: Mapping[str, Any], name: str, fps: float | None, root_body: str | None
+) -> JointClip:
+    fps = one_number(np.asarray(data[_FPS]), _FPS, name) if _FPS in data else fps
+    if fps is None:
+        raise MotionFileError(f"{name}: has no fps; give file_fps=, the frames per second")
+    names: tuple[str, ...] | None = None
+    given = next((data[key] for key in _JOINT_NAMES if key in data), None)
+    if given is not None:
+        check_kind(np.asarray(given), "joint_names", "U", name)
+        names = tuple(str(joint) for joint in np.ravel(given))
+
+    def part(keys: Sequence[str], content: Mapping[str, Any] = data) -> FloatArray:
+        key = next(key for key in keys if key in content)
+        value = np.asarray(content[key])
+        check_kind(value, key, "fiu", name)
+        return value.astype(np.float64)
+
+    if not any(key in data for key in _JOINTS):  # MimicKit's
+        frames = part([_FRAMES])
+        if frames.ndim != 2 or frames.shape[1] < 7:
+            raise MotionFileError(
+                f"{name}: frames has shape {frames.shape}, expected (frames, 6 + joints)"
+            )
+        position, exp_map, dof_pos = np.split(frames, (3, 6), axis=1)
+        turns = torch.from_numpy(np.ascontiguousarray(exp_map))
+        rotation = rotations.exp_map_to_quat(turns, keep_long=True).numpy()
+        return JointClip(name, fps, position, rotation, dof_pos, names, file_quat_order=None)
+    angles = next(data[key] for key in _JOINTS if key in data)
+    if isinstance(angles, dict) and angles:  # by the names of the joints
+        names = tuple(map(str, angles))
+        dof_pos = np.stack([part([key], angles).ravel() for key in angles], axis=-1)
+    else:
+        dof_pos = part(_JOINTS)
+    if dof_pos.ndim == 3 and dof_pos.shape[2] == 1:
+        dof_pos = dof_pos[..., 0]
+    if any(key in data for key in _POSITION):
+        return JointClip(name, fps, part(_POSITION), part(_ROTATION), dof_pos, names)
+    body_pos_w, body_quat_w = part(_BODY_POSITION), part(_BODY_ROTATION)
+    shape = body_pos_w.shape[:2]
+    if (body_pos_w.shape, body_quat_w.shape) != ((*shape, 3), (*shape, 4)) or 0 in shape:
+        raise MotionFileError(
+            f"{name}: the bodies' positions and quaternions have shapes {body_pos_w.shape} and "
+            f"{body_quat_w.shape}, expected (frames, bodies, 3) and (frames, bodies, 4)"
+        )
+    order = _root_first(data.get(_BODY_NAMES), root_body, body_pos_w, body_quat_w, name)
+    body_pos_w, body_quat_w = body_pos_w[:, order], body_quat_w[:, order]
+    turns = rotations.xyzw_from_wxyz(torch.from_numpy(body_quat_w[:, 0].copy())).numpy()
+    if names is None and dof_pos.ndim == 2 and dof_pos.shape[1] == len(G1_29):
+        names = _order_of_g1(body_pos_w, name)
+    clip = JointClip(name, fps, body_pos_w[:, 0], turns, dof_pos, names, file_quat_order="wxyz")
+    return clip.reread(_quat_order(body_pos_w, body_quat_w))
+
+
+def _root_first(
+    names: Any | None,
+    root_body: str | None,
+    positions: FloatArray,
+    quaternions: FloatArray,
+    clip_name: str,
+) -> list[int]:
+    """Return the ids of the bodies with the root first, without MuJoCo's world."""
+    bodies = list(range(positions.shape[1]))
+    if names is not None and root_body is not None:
+        check_kind(np.asarray(names), _BODY_NAMES, "U", clip_name)
+        found = [str(name) for name in np.ravel(names)]
+        if len(found) != len(bodies):
+            raise MotionFileError(
+                f"{clip_name}: has {len(found)} body_names for {len(bodies)} bodies"
+            )
+        if root_body in found:
+            root = found.index(root_body)
+            return [root, *(i for i in bodies if i != root and found[i] != "world")]
+        _log.warning(
+            "%s: its body_names lack '%s', the root of the robot; its first body is used as the "
+            "root (%s)",
+            clip_name,
+            root_body,
+            listed(found),
+        )
+    is_still = not positions[:, 0].any() and (quaternions[:, 0] == quaternions[0, 0]).all()
+    return bodies[1:] if len(bodies) > 1 and is_still else bodies
+
+
+def _quat_order(body_pos_w: FloatArray, body_quat_w: FloatArray) -> QuatOrder:
+    """Return the order of the quaternions (T, B, 4) that the places (T, B, 3) m of bodies show.
+
+    With the right one a body on a joint at its origin has the same place in the root's frame in all
+    frames. Where both orders do, or none, it is the usual one.
+    """
+    sample = slice(None, None, 1 + len(body_pos_w) // _COMPARED_FRAMES)
+    arms_w = body_pos_w[sample, 1:] - body_pos_w[sample, :1]
+    arms_w = arms_w[:, np.linalg.norm(arms_w[0], axis=-1) > _MIN_ARM_M]
+    root_quat = torch.from_numpy(body_quat_w[sample, :1].copy())
+    fitting: list[QuatOrder] = []
+    for order in QUAT_ORDERS:
+        root_rot = rotations.xyzw_from_wxyz(root_quat) if order == "wxyz" else root_quat
+        to_root = rotations.quat_conjugate(root_rot).expand(-1, arms_w.shape[1], -1)
+        arms = rotations.quat_apply(to_root, torch.from_numpy(arms_w))
+        moved_m = (arms - arms[:1]).norm(dim=-1).amax(dim=0)
+        if bool((moved_m < _SAME_DISTANCE_M).any()):
+            fitting.append(order)
+    return fitting[0] if len(fitting) == 1 else "wxyz"
+
+
+def _order_of_g1(body_pos_w: FloatArray, name: str) -> tuple[str, ...]:
+    """Return the names of a G1's joints in the file's order, from its bodies (T, B, 3) m.
+
+    Both hip links are equally far from the pelvis in every pose: bodies 1 and 2 level by level,
+    bodies 1 and 7 leg by leg.
+    """
+    if body_pos_w.shape[1] > 7:
+        distance = np.linalg.norm(body_pos_w[:, 1:] - body_pos_w[:, :1], axis=-1)
+        level = np.abs(distance[:, 0] - distance[:, 1]).max() < _SAME_DISTANCE_M
+        chain = np.abs(distance[:, 0] - distance[:, 6]).max() < _SAME_DISTANCE_M
+        if level != chain:
+            return G1_29_BREADTH_FIRST if level else G1_29
+    raise MotionFileError(
+        f"{name}: has 29 joints without names, and its bodies do not show whether they are in "
+        "MuJoCo's order or in Isaac Lab's; add joint_names to the file"
+    )
+
+
+def save_robot_npz(path: str | Path, clip: JointClip) -> Path:
+    """Write a clip in this project's form; `.npz` is added to `path` where it is missing."""
+    clip.validate()
+    arrays = {"root_pos": clip.root_pos, "root_rot": clip.root_rot, "dof_pos": clip.dof_pos}
+    if clip.joint_names is not None:
+        arrays["joint_names"] = np.array(clip.joint_names)
+    return write_arrays(path, _FORMAT, clip.fps, arrays)

@@ -40,35 +40,20 @@ _ROTATIONS = ("Zrotation", "Yrotation", "Xrotation")
 
 @dataclass(frozen=True, eq=False)
 class BvhMotion:
-    """T frames of a skeleton of J joints, in the axes and the unit of its file.
+    """T frames of a skeleton of J joints, in the axes and the unit of its file."""
 
-    Attributes:
-        name: the file.
-        fps: frames per second.
-        joint_names: J names, parents first.
-        parent_indices: J ids, -1 for the root.
-        offsets: (J, 3), places of the joints in their parents; the root's is not used.
-        turns: (T, J, 4) xyzw, relative to the parent; the root's to the world.
-        places: (T, 3), of the root in the world.
-    """
-
-    name: str
-    fps: float
-    joint_names: tuple[str, ...]
-    parent_indices: tuple[int, ...]
-    offsets: FloatArray
-    turns: FloatArray
-    places: FloatArray
+    name: str  # the file
+    fps: float  # frames per second
+    joint_names: tuple[str, ...]  # J names, parents first
+    parent_indices: tuple[int, ...]  # J ids, -1 for the root
+    offsets: FloatArray  # (J, 3), places of the joints in their parents; the root's is not used
+    turns: FloatArray  # (T, J, 4) xyzw, relative to the parent; the root's to the world
+    places: FloatArray  # (T, 3), of the root in the world
 
     def clip(self, to_z_up: FloatArray, unit_m: float) -> MotionClip:
         """Return the motion as a clip of its own skeleton, in our axes and in metres.
 
-        Args:
-            to_z_up: (4,) xyzw, the rotation from the axes of the file to ours, z up.
-            unit_m: m per unit of length of the file.
-
-        Raises:
-            MotionFileError: see `MotionClip.validate`.
+        `to_z_up` (4,) xyzw is the rotation from the axes of the file to ours, z up.
         """
         up = torch.from_numpy(to_z_up).expand(len(self.turns), 4)
         turns = self.turns.copy()
@@ -95,29 +80,18 @@ class _Joint:
 
 
 def bvh_hierarchy(path: str | Path) -> tuple[list[str], list[int]]:
-    """Return the names of the joints of a BVH file and their parents' ids; no frames are read.
-
-    Raises:
-        MotionFileError: the file is missing or has no joints.
-    """
+    """Return the names of the joints of a BVH file and their parents' ids; no frames are read."""
     with reading(path, "BVH file"):
         joints = _joints(_lines(path))
     return [joint.name for joint in joints], [joint.parent for joint in joints]
 
 
 def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
-    """Read a BVH file.
+    """Read a BVH file; its joints have three rotation channels or none, in any order.
 
-    Args:
-        path: of the file. Its joints have three rotation channels or none, in any order. Joints
-            below the motion's root keep their positions.
-        joints: names of joints that the caller needs. Their lowest common ancestor, or one of them,
-            becomes the root, with the motion of all joints above it. Empty: ROOT.
-
-    Raises:
-        MissingPackageError: pybvh is not installed.
-        MotionFileError: the file is missing, truncated, damaged or is no BVH file; a number is NaN
-            or infinite.
+    The caller needs the joints of these names: their lowest common ancestor, or one of them,
+    becomes the root, with the motion of all joints above it. Joints below keep their positions.
+    Without names, the root is ROOT.
     """
     pybvh = import_package("pybvh", "reading BVH files")
     with reading(path, "BVH file"):
@@ -245,22 +219,10 @@ def _places_in_parents(
     above: Sequence[str],
     path: str | Path,
 ) -> list[FloatArray]:
-    """Replace offsets (J, 3) by constant positions, in place; return the places of joints `above`.
+    """Replace offsets (J, 3) by constant positions (T, 3), in place, unless they are zero.
 
-    Positions that are all zero are ignored.
-
-    Args:
-        names: of the J joints.
-        offsets: (J, 3), in the file's unit.
-        positions: (T, 3) by the names of joints.
-        above: from ROOT down to the root of the clip; the places in their parents may change.
-        path: of the file, for messages.
-
-    Returns:
-        (T, 3) or (1, 3) for each joint `above` but ROOT.
-
-    Raises:
-        MotionFileError: another joint moves within its parent.
+    Returns the places, (T, 3) or (1, 3), of the joints `above` but ROOT, from ROOT down to the root
+    of the clip: they may move in their parents. Other joints that move are refused.
     """
     tolerance = _TOLERANCE * float(np.linalg.norm(offsets, axis=1).max())
     steps = dict(zip(names, offsets[:, None].copy(), strict=True))

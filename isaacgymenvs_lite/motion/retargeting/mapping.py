@@ -5,7 +5,7 @@ docs/motion_formats.md describes them; two are shipped in assets/retargeting.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,34 +51,23 @@ class _MappingSettings:
 
 @dataclass(frozen=True, eq=False)
 class BodySource:
-    """The source of a body's motion.
+    """The source of a body's motion."""
 
-    Attributes:
-        joint: name of a joint of the source skeleton.
-        frame: (4,) xyzw, rotation of the body's frame relative to the joint's; None where the
-            attitude of the joint is not used.
-        level: the sole is made parallel to the ground while the foot is on it.
-    """
-
-    joint: str
+    joint: str  # name of a joint of the source skeleton
+    # (4,) xyzw, rotation of the body's frame relative to the joint's; None where the attitude of
+    # the joint is not used.
     frame: FloatArray | None
-    level: bool
+    level: bool  # the sole is made parallel to the ground while the foot is on it
 
 
 @dataclass(frozen=True, eq=False)
 class SkeletonMapping:
-    """How a source skeleton moves the humanoid.
+    """How a source skeleton moves the humanoid."""
 
-    Attributes:
-        name: the file, or the name of a shipped mapping.
-        up: the axis of the file that points up, of `AXES`.
-        unit_m: m per unit of length of the file.
-        sources: of each body of the humanoid with 28 degrees of freedom, by name.
-    """
-
-    name: str
-    up: str
-    unit_m: float
+    name: str  # the file, or the name of a shipped mapping
+    up: str  # the axis of the file that points up, of `AXES`
+    unit_m: float  # m per unit of length of the file
+    # Of each body of the humanoid with 28 degrees of freedom, by name.
     sources: Mapping[str, BodySource]
 
     @property
@@ -88,14 +77,6 @@ class SkeletonMapping:
         x = np.roll(np.abs(z), 1)
         return _quaternion(np.stack((x, np.cross(z, x), z)))
 
-    def check_joints(self, joint_names: Iterable[str], clip_name: str) -> None:
-        """Raise a ConfigError if the clip's skeleton lacks a joint of the mapping."""
-        joint_names = list(joint_names)
-        for body, source in self.sources.items():
-            if source.joint not in joint_names:
-                problem = unknown("joint", source.joint, joint_names)
-                raise ConfigError(f"mapping={self.name}: bodies.{body}: {clip_name} has {problem}")
-
 
 def shipped_mappings() -> dict[str, Path]:
     """Return the files of the shipped mappings by name."""
@@ -103,12 +84,7 @@ def shipped_mappings() -> dict[str, Path]:
 
 
 def load_mapping(mapping: str | Path) -> SkeletonMapping:
-    """Read a mapping file, or the shipped one of that name.
-
-    Raises:
-        ConfigError: no such file or name; no YAML; a key is missing, unknown or has a value that
-            cannot be used; a body is missing or unknown; axes that do not make a frame.
-    """
+    """Read a mapping file, or the shipped one of that name; ConfigError if it cannot be used."""
     with reading(mapping, "mapping file"):
         path, content = read_mapping_keys(mapping, shipped_mappings(), "up, unit_m and bodies")
         settings = read_section(_MappingSettings, content, where=str(path), complete=True)
@@ -128,13 +104,7 @@ def read_mapping_keys(
 ) -> tuple[Path, dict[Any, Any]]:
     """Return the file and the keys of a mapping file, or of the shipped one of that name.
 
-    Args:
-        mapping: file or name.
-        shipped: files by name.
-        expected: names of the keys, for the message where there are none.
-
-    Raises:
-        ConfigError: no such file or name, no YAML, or no keys in it.
+    `expected` are names of the keys, for the message where there are none.
     """
     path = shipped.get(str(mapping)) or Path(mapping)
     if not path.is_file():
@@ -168,10 +138,8 @@ def _source(body: str, entry: Any, where: str) -> BodySource:
 def body_frame(x: str, z: str, turn_deg: Sequence[float] = (0.0, 0.0, 0.0)) -> FloatArray:
     """Return the rotation (4,) xyzw of a body's frame relative to its joint's.
 
-    Args:
-        x: the axis of the joint that points forward, of `AXES`.
-        z: the axis of the joint that points up.
-        turn_deg: (3,) a further rotation vector, in the axes x, left and z.
+    `x` and `z` are the axes of the joint that point forward and up; `turn_deg` (3,) is a further
+    rotation vector in the axes x, left and z.
     """
     forward, up = axis_vector(x), axis_vector(z)
     axes = torch.from_numpy(_quaternion(np.stack((forward, np.cross(up, forward), up), axis=1)))

@@ -16,16 +16,25 @@ from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.editing import cut, resample
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.qpos import dofs_of_clip, poses_from_qpos
+from isaacgymenvs_lite.motion.qpos import body_poses, dofs_of_clip, poses_from_qpos
 from isaacgymenvs_lite.motion.retargeting.bvh import read_bvh
-from isaacgymenvs_lite.motion.retargeting.contacts import Flags, onto_ground, replanted
-from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
-from isaacgymenvs_lite.motion.retargeting.mapping_fit import check_fit
-from isaacgymenvs_lite.motion.retargeting.robot import Robot, body_poses, robot_problem
+from isaacgymenvs_lite.motion.retargeting.mapping_choice import check_fit
+from isaacgymenvs_lite.motion.retargeting.robot import Robot, robot_problem
 from isaacgymenvs_lite.motion.retargeting.solve import IkProblem, humanoid_problem, solve_poses
-from isaacgymenvs_lite.motion.retargeting.source import FEET, SourceMotion, source_from_bvh
-from isaacgymenvs_lite.motion.retargeting.targets import Targets, make_targets
+from isaacgymenvs_lite.motion.retargeting.source import (
+    FEET,
+    SourceMotion,
+    humanoid_figure,
+    source_from_bvh,
+)
+from isaacgymenvs_lite.motion.retargeting.targets import (
+    Flags,
+    Targets,
+    make_targets,
+    onto_ground,
+    replanted,
+)
 from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
 
 _log = logging.getLogger(__name__)
@@ -41,26 +50,19 @@ _JUMP_DEG, _JUMP_RATIO = 20.0, 5.0
 
 @dataclass(frozen=True)
 class RetargetReport:
-    """What a retargeting leaves.
+    """What a retargeting leaves."""
 
-    Attributes:
-        scale: the figure's leg length divided by the source's.
-        errors_m: mean and largest distance in m of the key bodies from the scaled source, by the
-            humanoid's names.
-        deepest_m: how far a point of a sole is below the ground at most, 0 or more.
-        slide_m_s: median and largest horizontal speed of points of the soles in contact; None: no
-            foot rests on the ground.
-        limited: (share of the frames, joint) of the joint that is at its limit most often; None:
-            none ever is.
-        fastest_rad_s: the largest speed of a joint.
-    """
-
-    scale: float
+    scale: float  # the figure's leg length divided by the source's
+    # Mean and largest distance in m of the key bodies from the scaled source, by the humanoid's
+    # names.
     errors_m: Mapping[str, tuple[float, float]]
-    deepest_m: float
+    deepest_m: float  # how far a point of a sole is below the ground at most, 0 or more
+    # Median and largest horizontal speed of points of the soles in contact; None: no foot rests on
+    # the ground.
     slide_m_s: tuple[float, float] | None
+    # (share of the frames, joint) of the joint that is at its limit most often; None: none ever is.
     limited: tuple[float, str] | None
-    fastest_rad_s: float
+    fastest_rad_s: float  # the largest speed of a joint
 
     @classmethod
     def of(
@@ -76,16 +78,10 @@ class RetargetReport:
     ) -> RetargetReport:
         """Sum up a motion.
 
-        Args:
-            targets: of the motion.
-            missed: (T, 3) m, from the scaled source to each key body.
-            points: (T, 2, K, 3) m, of the soles.
-            contact: (T, 2, K), which points rest on the ground in the source; a foot that swings
-                close above the ground does not rest.
-            margins: (T, D) rad, from the joint's angle to its nearest limit.
-            joints: D names.
-            fps: frames per second.
-            fastest_rad_s: see above.
+        `missed` (T, 3) m are from the scaled source to each key body. Points (T, 2, K, 3) m are of
+        the soles, and `contact` (T, 2, K) says which rest on the ground in the source; a foot that
+        swings close above the ground does not rest. `margins` (T, D) rad are from a joint's angle
+        to its nearest limit.
         """
         errors = {body: np.linalg.norm(way, axis=-1) for body, way in missed.items()}
         speed = np.linalg.norm(np.diff(points[..., :2], axis=0), axis=-1) * fps
@@ -133,18 +129,7 @@ def retarget_bvh(
 ) -> MotionClip:
     """Retarget the motion of a BVH file to a shipped humanoid, and log the remaining errors.
 
-    Args:
-        path: the BVH file.
-        mapping: from its skeleton.
-        skeleton: of the humanoid.
-        start_s: where to start in the file.
-        end_s: where to end; None: at its end.
-        fps: frames per second of the clip; None: the file's.
-
-    Raises:
-        MissingPackageError: pybvh or mink is not installed.
-        ConfigError: the file lacks a joint of the mapping.
-        MotionFileError: the file cannot be read, or the times are not in it.
+    The part from `start_s` to `end_s` (None: the end) is used, at `fps` (None: the file's).
     """
     source = load_bvh_source(path, mapping, start_s, end_s, fps)
     targets = make_targets(source, humanoid_figure(skeleton))
@@ -217,13 +202,7 @@ def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> R
 
 @dataclass(frozen=True, eq=False)
 class RobotMotion:
-    """A retargeted motion of a robot.
-
-    Attributes:
-        fps: frames per second.
-        qpos: (T, nq), in MuJoCo's order: root position in m and quaternion wxyz, then the joints.
-        report: how near it is to the source.
-    """
+    """A retargeted motion of a robot: qpos (T, nq) in MuJoCo's order, and how near it is."""
 
     fps: float
     qpos: npt.NDArray[np.float64]
@@ -231,15 +210,7 @@ class RobotMotion:
 
 
 def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
-    """Retarget a motion to a robot, and log what remains.
-
-    Args:
-        source: of a BVH file or of a clip of a shipped humanoid, see `source_from_clip`.
-        robot: see `robot_from_model`.
-
-    Raises:
-        MissingPackageError: mink is not installed.
-    """
+    """Retarget a motion to a robot, and log what remains."""
     targets = make_targets(source, robot.figure)
     first = problem = robot_problem(robot, targets, source.fps)
     qpos = solve_poses(problem)

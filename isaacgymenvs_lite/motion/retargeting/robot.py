@@ -15,9 +15,8 @@ import torch
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.motion.editing import interpolate_rotations
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.retargeting.figure import Figure, Sole, find_sole, round_bodies
-from isaacgymenvs_lite.motion.retargeting.limbs import body_poses, find_bend
-from isaacgymenvs_lite.motion.retargeting.robot_mapping import RobotMapping
+from isaacgymenvs_lite.motion.qpos import body_poses
+from isaacgymenvs_lite.motion.retargeting.robot_mapping import RobotMapping, find_bend
 from isaacgymenvs_lite.motion.retargeting.solve import (
     FIRST_BEND_RAD,
     LEAST_BEND_RAD,
@@ -25,7 +24,16 @@ from isaacgymenvs_lite.motion.retargeting.solve import (
     JointLimits,
     body_goals,
 )
-from isaacgymenvs_lite.motion.retargeting.source import FEET, SIDES, leg_length, rotated_in_body
+from isaacgymenvs_lite.motion.retargeting.source import (
+    FEET,
+    SIDES,
+    Figure,
+    Sole,
+    find_sole,
+    leg_length,
+    rotated_in_body,
+    round_bodies,
+)
 from isaacgymenvs_lite.motion.retargeting.targets import Targets
 from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations
@@ -38,28 +46,20 @@ _LIMBS = (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand"))
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot and how it is moved; made by `robot_from_model`.
+    """A robot and how it is moved; made by `robot_from_model`."""
 
-    Attributes:
-        model: compiled, a free root as first joint, hinges and ball joints.
-        mapping: of its bodies to the humanoid's names.
-        start: (nq,), the pose in which it stands upright.
-        figure: its lengths and soles, upright and facing +x.
-        frames: (4,) xyzw, by the humanoid's names: the body's attitude in the upright figure.
-        hips: (3,) m, the middle of the hips seen from the pelvis' origin, in the upright figure.
-        bends: ids of the hinges that bend limbs, with their lowest and highest angle in rad; the
-            straight limb is left out.
-        followers: the joints that follow others.
-    """
-
-    model: mujoco.MjModel
-    mapping: RobotMapping
-    start: FloatArray
-    figure: Figure
+    model: mujoco.MjModel  # compiled, a free root as first joint, hinges and ball joints
+    mapping: RobotMapping  # of its bodies to the humanoid's names
+    start: FloatArray  # (nq,), the pose in which it stands upright
+    figure: Figure  # its lengths and soles, upright and facing +x
+    # (4,) xyzw, by the humanoid's names: the body's attitude in the upright figure.
     frames: dict[str, FloatArray]
+    # (3,) m, the middle of the hips seen from the pelvis' origin, in the upright figure.
     hips: FloatArray
+    # Ids of the hinges that bend limbs, with their lowest and highest angle in rad; the straight
+    # limb is left out.
     bends: dict[int, tuple[float, float]]
-    followers: Followers
+    followers: Followers  # the joints that follow others
 
     def soles(self, qpos: FloatArray) -> FloatArray:
         """Return the lowest places (T, 2, K, 3) m of both soles' points, qpos (T, nq)."""
@@ -87,15 +87,10 @@ def robot_from_model(
 ) -> Robot:
     """Return a robot that can be retargeted to.
 
-    Args:
-        model: compiled, a free root as first joint, hinges and ball joints.
-        mapping: of its bodies to the humanoid's names.
-        start: (nq,), the pose in which it stands upright; None: the mapping's, from the model.
-
-    Raises:
-        ConfigError: no free root, or another joint that is neither hinge nor ball; a body or start
-            pose of the mapping that the model lacks; a start pose in which it does not stand; a
-            foot without geometry.
+    The model has a free root as first joint, hinges and ball joints. In the pose `start` (nq,) it
+    stands upright; None: the mapping's, from the model. Raises ConfigError for other joints, a body
+    or start pose of the mapping that the model lacks, a start pose in which it does not stand, or a
+    foot without geometry.
     """
     _check(model, mapping)
     followers = Followers(model)

@@ -6,6 +6,8 @@ the bodies are guessed by their names.
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,18 +16,115 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import torch
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.motion.formats.files import reading
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.retargeting.limbs import find_limbs
+from isaacgymenvs_lite.motion.qpos import body_poses
 from isaacgymenvs_lite.motion.retargeting.mapping import WITH_ATTITUDE, read_mapping_keys
 from isaacgymenvs_lite.motion.retargeting.solve import weights_of
 from isaacgymenvs_lite.motion.retargeting.source import SIDES
-from isaacgymenvs_lite.robots.limbs import ancestors
+from isaacgymenvs_lite.robots.followers import Followers
+from isaacgymenvs_lite.robots.limbs import ancestors, free_joints, limb_ends, touching_bodies
 from isaacgymenvs_lite.robots.start_pose import posed
 from isaacgymenvs_lite.schema import read_section, setting
+from isaacgymenvs_lite.utils import rotations
+
+_ANGLES = 91  # at which a hinge is tried
+# Arms end at least so far from the middle, as a share of the height of the hips.
+_ASIDE = 0.1
+_LEG, _ARM = ("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand")
+
+
+def find_bend(
+    model: mujoco.MjModel, start: FloatArray, top: int, end: int
+) -> tuple[int, FloatArray, FloatArray] | None:
+    """Return the hinge that bends a limb, a knee or an elbow, by MuJoCo's kinematics.
+
+    It is the hinge between the bodies `top` and `end` that changes their distance most, with the
+    other joints as in `start` (nq,). Returns the joint, angles (rad) over its range, and the
+    distances (m) at them; None of a limb without a hinge between its ends.
+    """
+    between = itertools.takewhile(lambda body: body != top, ancestors(model, end)[1:])
+    names = [model.body(top).name, model.body(end).name]
+    followers, tried = Followers(model), []
+    for joint in free_joints(model, list(between)):
+        if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+            continue
+        low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.pi, math.pi)
+        angles = np.linspace(low, high, _ANGLES)
+        poses = np.repeat(start[None], _ANGLES, axis=0)
+        poses[:, model.jnt_qposadr[joint]] = angles
+        places, _ = body_poses(model, followers.placed(poses), names)
+        tried.append((joint, angles, np.linalg.norm(places[:, 0] - places[:, 1], axis=1)))
+    return max(tried, key=lambda entry: float(np.ptp(entry[2])), default=None)
+
+
+def find_limbs(model: mujoco.MjModel, start: FloatArray) -> dict[str, int]:
+    """Return the ids of bodies of a robot on two legs by the humanoid's names, or {}.
+
+    The legs are the limbs that end on the floor in the pose `start` (nq,), the arms those that end
+    farthest aside above them. A limb bends where `find_bend` says. The robot looks along the x axis
+    of its free root.
+    """
+    ends = [model.body(name).id for name in limb_ends(model, start)]
+    grounded = {model.body_weldid[model.body(name).id] for name in touching_bodies(model, start)}
+    feet = [end for end in ends if model.body_weldid[end] in grounded]
+    legs = _pair(model, start, feet, _LEG, 0.0) if len(feet) == 2 else None
+    if legs is None:
+        return {}
+    found = {"pelvis": legs[1], **legs[0]}
+    others = [end for end in ends if end not in feet]
+    arms = _pair(model, start, others, _ARM, _ASIDE * float(start[2])) if others else None
+    if arms is not None:
+        found |= arms[0]
+        if arms[1] not in found.values():
+            found["torso"] = arms[1]
+    return found
+
+
+def _pair(
+    model: mujoco.MjModel,
+    start: FloatArray,
+    ends: list[int],
+    parts: tuple[str, ...],
+    aside_m: float,
+) -> tuple[dict[str, int], int] | None:
+    """Return the links of the limbs that end farthest to the left and right, and what carries both.
+
+    That is the last body with joints that moves both limbs, or the root. None: no pair ends at
+    least `aside_m` from the middle. `parts` are the names of a limb's three links.
+    """
+    places, turns = body_poses(model, start[None], [model.body(i).name for i in (1, *ends)])
+    back = rotations.quat_conjugate(torch.from_numpy(turns[0, :1])).expand(len(ends), 4)
+    from_root = torch.from_numpy(places[0, 1:] - places[0, :1])
+    left_m = rotations.quat_apply(back, from_root).numpy()[:, 1]
+    if left_m.max() <= aside_m or left_m.min() >= -aside_m:
+        return None
+    sides = {"left": ends[int(left_m.argmax())], "right": ends[int(left_m.argmin())]}
+    # Bodies with joints, from below the root to the end.
+    chains = {
+        side: [i for i in reversed(ancestors(model, end)[:-1]) if model.body_jntnum[i] > 0]
+        for side, end in sides.items()
+    }
+    shared = set(chains["left"]) & set(chains["right"])
+    found: dict[str, int] = {}
+    for side, end in sides.items():
+        links = [body for body in chains[side] if body not in shared]
+        bend = find_bend(model, start, links[0], end) if links else None
+        lower = int(model.jnt_bodyid[bend[0]]) if bend is not None else None
+        if lower not in links[1:]:
+            return None
+        last = links[-1] if links[-1] != lower else end
+        if last == lower:
+            return None
+        upper = links[links.index(lower) - 1]
+        names = (f"{side}_{part}" for part in parts)
+        found |= dict(zip(names, (upper, lower, last), strict=True))
+    return found, max(shared, default=1)
+
 
 NEEDED = ("pelvis", *(f"{side}_{part}" for side in SIDES for part in ("thigh", "shin", "foot")))
 # Each body before those that need it as their parent.
@@ -76,23 +175,18 @@ class RobotBody:
 
 @dataclass(frozen=True, eq=False)
 class RobotMapping:
-    """How the humanoid's bodies move a robot.
+    """How the humanoid's bodies move a robot."""
 
-    Attributes:
-        name: the file, or the name of a shipped mapping.
-        bodies: of the robot, by the humanoid's names, parents first; `NEEDED` and more. Empty: they
-            are found by their names (`guess_robot_mapping`).
-        start_pose: key of the model in which it stands upright; "": home, stand or standing, if
-            there is one, else the pose of the model file.
-        fastest_rad_s: how fast a hinge may be from frame to frame.
-        start_rotation: xyzw, of the root in the start pose; None: as there. The clip commands use
-            it (`motion.robot_clips`).
-    """
-
-    name: str
+    name: str  # the file, or the name of a shipped mapping
+    # Of the robot, by the humanoid's names, parents first; `NEEDED` and more. Empty: they are found
+    # by their names (`guess_robot_mapping`).
     bodies: Mapping[str, RobotBody]
+    # Key of the model in which it stands upright; "": home, stand or standing, if there is one,
+    # else the pose of the model file.
     start_pose: str = ""
-    fastest_rad_s: float = 20.0
+    fastest_rad_s: float = 20.0  # how fast a hinge may be from frame to frame
+    # Xyzw, of the root in the start pose; None: as there. The clip commands use it
+    # (`motion.convert`).
     start_rotation: tuple[float, ...] | None = None
 
     def parent(self, name: str) -> str | None:
@@ -108,12 +202,7 @@ def shipped_robot_mappings() -> dict[str, Path]:
 
 
 def load_robot_mapping(mapping: str | Path) -> RobotMapping:
-    """Read a mapping file for a robot, or the shipped one of that name.
-
-    Raises:
-        ConfigError: no such file or name; no YAML; a key is unknown or has a value that cannot be
-            used; a body is missing, unknown, or given without its parent.
-    """
+    """Read a mapping file for a robot, or the shipped one of that name, or raise a ConfigError."""
     with reading(mapping, "mapping file"):
         path, content = read_mapping_keys(mapping, shipped_robot_mappings(), "bodies")
         settings = read_section(_RobotMappingSettings, content, where=str(path), complete=True)
@@ -182,15 +271,9 @@ def guess_robot_mapping(
 ) -> tuple[RobotMapping, str]:
     """Match the bodies of a robot to the humanoid's, by their names or else by the joints.
 
-    Args:
-        model: of the robot.
-        start: (nq,), the pose in which it stands; None: the model's first one.
-
-    Returns:
-        The mapping, and one line that lists what was matched.
-
-    Raises:
-        ConfigError: a leg or the pelvis cannot be found; the message has what to write.
+    `start` (nq,) is the pose in which it stands; None: the model's first one. Returns the mapping,
+    and one line that lists what was matched. Raises ConfigError, which has what to write, if a leg
+    or the pelvis cannot be found.
     """
     names = {i: model.body(i).name for i in range(1, model.nbody)}
     found = {

@@ -54,52 +54,34 @@ LEAST_BEND_RAD = math.radians(2.0)
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """Limits of a model's joints.
+    """Limits of a model's joints."""
 
-    Attributes:
-        hinges: joint id -> lowest and highest angle in rad.
-        balls: joint id -> lowest and highest components (3,) rad of the rotation vector, and the
-            largest length of the vector in rad, as MuJoCo limits a ball joint.
-        fastest_rad_s: how fast a hinge may be from frame to frame.
-    """
-
-    hinges: Mapping[int, tuple[float, float]]
+    hinges: Mapping[int, tuple[float, float]]  # joint id -> lowest and highest angle in rad
+    # Joint id -> lowest and highest components (3,) rad of the rotation vector, and the largest
+    # length of the vector in rad, as MuJoCo limits a ball joint.
     balls: Mapping[int, tuple[FloatArray, FloatArray, float]]
-    fastest_rad_s: float = math.inf
+    fastest_rad_s: float = math.inf  # how fast a hinge may be from frame to frame
 
 
 @dataclass(frozen=True, eq=False)
 class IkProblem:
-    """A model with a free root as its first joint, and what its poses should be near to.
+    """A model with a free root as its first joint, and what its poses should be near to."""
 
-    Attributes:
-        model: the compiled model.
-        fps: frames per second.
-        goals: (T, 7) of each body that has one: quaternion wxyz and place in m, as mink takes them.
-        weights: of a goal's place (1/m) and attitude (1/rad).
-        first_pose: (nq,), where the search of the first frame starts.
-        posture: (nq,), the pose for what the goals leave open.
-        limits: of the joints.
-        lead_in: so many goals at the start only guide the search; their poses are left out.
-    """
-
-    model: mujoco.MjModel
-    fps: float
+    model: mujoco.MjModel  # the compiled model
+    fps: float  # frames per second
+    # (T, 7) of each body that has one: quaternion wxyz and place in m, as mink takes them.
     goals: Mapping[str, FloatArray]
-    weights: Mapping[str, tuple[float, float]]
-    first_pose: FloatArray
-    posture: FloatArray
-    limits: JointLimits
-    lead_in: int = 0
+    weights: Mapping[str, tuple[float, float]]  # of a goal's place (1/m) and attitude (1/rad)
+    first_pose: FloatArray  # (nq,), where the search of the first frame starts
+    posture: FloatArray  # (nq,), the pose for what the goals leave open
+    limits: JointLimits  # of the joints
+    lead_in: int = 0  # so many goals at the start only guide the search; their poses are left out
 
 
 def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
     """Return the poses (T, nq) nearest to the goals within the limits of the joints.
 
     Each search starts from the pose of the frame before. Joints that follow others do so exactly.
-
-    Raises:
-        MissingPackageError: mink is not installed.
     """
     mink = import_package("mink", "retargeting")
     model = problem.model
@@ -174,13 +156,7 @@ def humanoid_problem(
 
 
 def body_goals(names: Sequence[str], targets: Targets, body: str) -> FloatArray:
-    """Return quaternions wxyz and positions (T, 7) of a body, as mink takes them.
-
-    Args:
-        names: of the bodies of the targets, in order.
-        targets: of all bodies.
-        body: one of them.
-    """
+    """Return quaternions wxyz and positions (T, 7) of a body, as mink takes them."""
     places = targets.positions[:, names.index(body)]
     upright = np.tile((0.0, 0.0, 0.0, 1.0), (len(places), 1))
     turns = torch.from_numpy(targets.turns.get(body, upright))

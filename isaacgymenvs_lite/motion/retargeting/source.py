@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
+import numpy.typing as npt
 import torch
 
-from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.mapping import WITH_ATTITUDE, SkeletonMapping
-from isaacgymenvs_lite.motion.skeleton import shipped_humanoid_with
+from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with, skeleton_for_num_dofs
+from isaacgymenvs_lite.robots.limbs import ancestors
+from isaacgymenvs_lite.robots.start_pose import mesh_vertices, posed
 from isaacgymenvs_lite.utils import rotations
 
 SIDES = ("right", "left")
@@ -21,21 +26,15 @@ FEET = tuple(f"{side}_foot" for side in SIDES)
 
 @dataclass(frozen=True, eq=False)
 class SourceMotion:
-    """T frames of a figure in its own size; its bodies have the names of the humanoid's.
+    """T frames of a figure in its own size; its bodies have the names of the humanoid's."""
 
-    Attributes:
-        name: of the clip or file.
-        fps: frames per second.
-        places: (T, 3) m of the near end of each body, in the world, z up.
-        turns: (T, 4) xyzw, attitudes in the world; the identity is the upright figure that faces
-            +x. Limbs have none: their attitudes follow from the places.
-        levelled: feet whose soles are made parallel to the ground, see `targets`.
-    """
-
-    name: str
-    fps: float
-    places: Mapping[str, FloatArray]
+    name: str  # of the clip or file
+    fps: float  # frames per second
+    places: Mapping[str, FloatArray]  # (T, 3) m of the near end of each body, in the world, z up
+    # (T, 4) xyzw, attitudes in the world; the identity is the upright figure that faces +x. Limbs
+    # have none: their attitudes follow from the places.
     turns: Mapping[str, FloatArray]
+    # Feet whose soles are made parallel to the ground, see `targets`.
     levelled: tuple[str, ...] = ()
 
 
@@ -57,11 +56,7 @@ def source_from_bvh(clip: MotionClip, mapping: SkeletonMapping) -> SourceMotion:
 
 
 def source_from_clip(clip: MotionClip) -> SourceMotion:
-    """Return the motion of a clip of a shipped humanoid.
-
-    Raises:
-        MotionFileError: no shipped humanoid has these bodies.
-    """
+    """Return the motion of a clip of a shipped humanoid, or raise a MotionFileError."""
     if shipped_humanoid_with(clip.body_names) is None:
         raise MotionFileError(
             f"{clip.name}: no shipped humanoid has its {clip.num_bodies} bodies, so that it cannot "
@@ -94,3 +89,132 @@ def rotate(turns: FloatArray, vector: FloatArray) -> FloatArray:
     """Return a vector (3,) rotated by each of (T, 4)."""
     q = torch.from_numpy(turns)
     return rotations.quat_apply(q, torch.from_numpy(vector).expand(len(q), 3)).numpy()
+
+
+# Radii of the humanoid's hands and, about the origin of the shin, knees.
+_ROUND_M = {"right_hand": 0.04, "left_hand": 0.04, "right_shin": 0.05, "left_shin": 0.05}
+# Points this much higher than the lowest one, with the robot upright, belong to the sole.
+_SOLE_M = 0.015
+# Seen from above, a sole with more points is described by those that reach furthest in so many
+# directions.
+_DIRECTIONS = 12
+_Geom = mujoco.mjtGeom
+_ENDS = tuple(itertools.product((-1.0, 1.0), repeat=3))
+
+
+@dataclass(frozen=True, eq=False)
+class Sole:
+    """The points of a foot that can touch the ground: balls of radii (K,) m, 0 at corners.
+
+    `points` (K, 3) m are their centres relative to the foot, in the axes of the upright figure.
+    """
+
+    points: FloatArray
+    radii: FloatArray
+
+    @property
+    def length_m(self) -> float:
+        """The largest extent along an axis, balls included."""
+        radii = self.radii[:, None]
+        extent = (self.points + radii).max(axis=0) - (self.points - radii).min(axis=0)
+        return max(float(extent.max()), 1e-3)
+
+    def places(self, feet: FloatArray, turns: FloatArray) -> FloatArray:
+        """Return the lowest places (T, K, 3) m of the balls, for feet (T, 3) turned by (T, 4)."""
+        centres = np.stack([feet + rotate(turns, point) for point in self.points], axis=1)
+        return centres - self.radii[:, None] * np.array((0.0, 0.0, 1.0))
+
+    def lowest(self, turns: FloatArray) -> FloatArray:
+        """Return the height (T,) m of the lowest point over the foot."""
+        balls = zip(self.points, self.radii, strict=True)
+        return np.min([rotate(turns, point)[:, 2] - radius for point, radius in balls], axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """The upright figure that faces +x: J bodies with names of the humanoid's, parents first."""
+
+    body_names: tuple[str, ...]  # J names
+    parent_indices: tuple[int, ...]  # J ids, -1 for the pelvis
+    # (J, 3) m, of the near end of a body from its parent's; the pelvis' is not used.
+    offsets: FloatArray
+    soles: Mapping[str, Sole]  # of both feet
+    round_m: Mapping[str, float]  # m, radii of bodies that may lie on the ground
+    pins_feet: bool  # whether feet in contact are held in place; else they slide as the source's
+
+    @property
+    def leg_length_m(self) -> float:
+        """The length of thigh and shin, the mean of both legs."""
+        return leg_length(self.rest_places())
+
+    def rest_places(self) -> dict[str, FloatArray]:
+        """Return the places (1, 3) m of the upright figure's bodies."""
+        places: dict[str, FloatArray] = {}
+        bodies = zip(self.body_names, self.parent_indices, self.offsets, strict=True)
+        for body, parent, offset in bodies:
+            base = places[self.body_names[parent]] if parent >= 0 else 0.0
+            places[body] = base + offset[None]
+        return places
+
+
+def humanoid_figure(skeleton: Skeleton) -> Figure:
+    """Return the figure of a shipped humanoid."""
+    owners = [skeleton.body_names[body] for body in skeleton.foot_body_ids]
+    soles = {}
+    for foot in FEET:
+        corners = skeleton.foot_corners[[owner == foot for owner in owners]]
+        soles[foot] = Sole(corners, np.zeros(len(corners)))
+    tree = (skeleton.body_names, skeleton.parent_indices, skeleton.local_translation)
+    return Figure(*tree, soles, _ROUND_M, pins_feet=False)
+
+
+def round_bodies(figure_leg_m: float, names: tuple[str, ...]) -> dict[str, float]:
+    """Return radii of hands and knees of another figure, in proportion to its legs."""
+    humanoid_leg_m = humanoid_figure(skeleton_for_num_dofs(28)).leg_length_m
+    radii = _ROUND_M.items()
+    return {body: m * figure_leg_m / humanoid_leg_m for body, m in radii if body in names}
+
+
+def find_sole(
+    model: mujoco.MjModel, start: FloatArray, foot: str
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return centres (K, 3) m, seen from the foot in world axes, and radii (K,) of a robot's sole.
+
+    Corners of boxes, ends of capsules and cylinders, spheres, vertices of meshes, of the foot and
+    of bodies that it carries. Geoms that do not collide count only if no other exists. In the pose
+    `start` (nq,) the robot stands upright with flat feet. Raises ConfigError for a foot without
+    geoms.
+    """
+    data, body = posed(model, start), model.body(foot).id
+    geoms = [i for i in range(model.ngeom) if body in ancestors(model, int(model.geom_bodyid[i]))]
+    colliding = [i for i in geoms if model.geom_contype[i] or model.geom_conaffinity[i]]
+    parts = [_points(model, data, geom) for geom in colliding or geoms]
+    if not parts:
+        raise ConfigError(f"the foot '{foot}' of the robot has no geoms: where is its sole?")
+    centres = np.concatenate([points for points, _ in parts])
+    radii = np.concatenate([np.full(len(points), radius) for points, radius in parts])
+    heights = centres[:, 2] - radii
+    low = np.flatnonzero(heights < heights.min() + _SOLE_M)
+    if len(low) > _DIRECTIONS:
+        angles = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS)
+        ways = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+        low = low[np.unique((centres[low, :2] @ ways.T).argmax(axis=0))]
+    return centres[low] - data.xpos[body], radii[low]
+
+
+def _points(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int
+) -> tuple[npt.NDArray[np.float64], float]:
+    """Return points (K, 3) m in the world, and the radius of the balls about them."""
+    kind, size = _Geom(int(model.geom_type[geom])), model.geom_size[geom]
+    radius = 0.0
+    if kind == _Geom.mjGEOM_SPHERE:
+        local, radius = np.zeros((1, 3)), float(size[0])
+    elif kind == _Geom.mjGEOM_CAPSULE:
+        local, radius = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]]), float(size[0])
+    elif kind == _Geom.mjGEOM_MESH:
+        local = mesh_vertices(model, geom).astype(np.float64)
+    else:  # corners of a box, and of the box around a cylinder or an ellipsoid
+        half = (size[0], size[0], size[1]) if kind == _Geom.mjGEOM_CYLINDER else size
+        local = np.array(_ENDS) * half
+    return local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom], radius

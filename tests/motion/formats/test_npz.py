@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 import dataclasses
 from pathlib import Path
 
@@ -6,6 +8,7 @@ import pytest
 
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.formats.files import check_output, written_clip
 from isaacgymenvs_lite.motion.formats.npz import load_npz, save_npz
 
 
@@ -96,3 +99,26 @@ def test_bad_files_are_one_line(tmp_path: Path, tiny_clip: MotionClip) -> None:
         np.save(stream, np.zeros(3))
     with pytest.raises(MotionFileError, match="single array"):
         load_npz(path)
+
+
+def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
+    path = tmp_path / "none" / "clip.npz"
+    with (
+        pytest.raises(MotionFileError, match=r"cannot write .*none/clip\.npz \(No such file"),
+        written_clip(path) as partial,
+    ):
+        partial.write_text("")
+
+
+def test_outputs_are_checked_before_the_work(tmp_path: Path) -> None:
+    suffixes = (".npz", ".csv")
+    path = tmp_path / "clip.npz"
+    check_output(path, suffixes, overwrite=False)
+    path.write_text("")
+    with pytest.raises(MotionFileError, match="exists already; overwrite=True replaces it"):
+        check_output(path, suffixes, overwrite=False)
+    check_output(path, suffixes, overwrite=True)
+    with pytest.raises(MotionFileError, match=r"found '\.fbx'; choices: \.npz, \.csv"):
+        check_output(tmp_path / "clip.fbx", suffixes, overwrite=True)
+    with pytest.raises(MotionFileError, match=r"the folder .*none does not exist"):
+        check_output(tmp_path / "none" / "clip.npz", suffixes, overwrite=True)

@@ -15,7 +15,6 @@ from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.editing import cut
 from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.retargeting.figure import find_sole
 from isaacgymenvs_lite.motion.retargeting.mapping_choice import recognise_robot
 from isaacgymenvs_lite.motion.retargeting.retarget import RobotMotion, retarget_to_robot
 from isaacgymenvs_lite.motion.retargeting.robot import Robot, robot_from_model
@@ -24,9 +23,10 @@ from isaacgymenvs_lite.motion.retargeting.robot_mapping import (
     load_robot_mapping,
     shipped_robot_mappings,
 )
-from isaacgymenvs_lite.motion.retargeting.source import source_from_clip
+from isaacgymenvs_lite.motion.retargeting.source import find_sole, source_from_clip
 from isaacgymenvs_lite.robots.load import load_robot
 from tests.packages import file_of_package
+from tools.clip_synthesis.checks import sole_corners
 
 VALID = yaml.safe_load(shipped_robot_mappings()["g1"].read_text())
 # A walker with ball hips, without arms or ankles, that faces +y; its feet are balls.
@@ -94,7 +94,7 @@ def corners(model: mujoco.MjModel, qpos: np.ndarray, geom: str) -> np.ndarray:
 def test_feet_of_the_g1_rest_where_the_source_rests(g1_model, g1, humanoid, name) -> None:
     clip = load_clips(name)[0][0]
     motion = retargeted(name, g1)
-    source = humanoid.sole_corners(*clip.global_poses())
+    source = sole_corners(humanoid, *clip.global_poses())
     speed = np.linalg.norm(np.diff(source, axis=0), axis=-1) * clip.fps
     flat = (speed < 0.02) & (source[1:, ..., 2] < 1e-3) & (source[:-1, ..., 2] < 1e-3)
     for side, geom in enumerate(("right_foot", "left_foot")):

@@ -13,8 +13,8 @@ import torch
 from isaacgymenvs_lite import make
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
-from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
-from isaacgymenvs_lite.motion.joint_clip import JointClip
+from isaacgymenvs_lite.motion.clip import JointClip
+from isaacgymenvs_lite.motion.formats.robot_clip import save_robot_npz
 from isaacgymenvs_lite.tasks.amp.robot_amp import RobotAMP
 
 # Two legs with hips that swing and spread, knees, and feet; faces +x; no drives, no floor.
