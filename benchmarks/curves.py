@@ -5,7 +5,7 @@
 
 A target is a run folder or the name of an experiment. Each seed is a thin line, the median is
 thick. `--returns` draws the return of training episodes, one panel for each experiment.
-Needs matplotlib, `pip install "isaacgymenvs-lite[docs]"`; without --out only the table is printed.
+Only the table is printed without --out.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from benchmarks.records import GOOD_EPISODE_STEPS, spread_cell
 from benchmarks.runs import DEFAULT_RUNS_DIR, find_runs
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.report.scalars import FloatArray, Series
-from isaacgymenvs_lite.utils.optional_packages import import_package
 
 _PANELS = {
     "episode_length": "episode length in training (steps)",
@@ -63,7 +62,6 @@ def draw(curves: Curves, path: Path, against: str = "minutes") -> None:
     """Write the picture.
 
     Raises:
-        MissingPackageError: matplotlib is not installed.
         ConfigError: the folder of `path` does not exist.
     """
     figure: Any = _figure(path)
@@ -122,13 +120,13 @@ def figure_for(path: Path, size: tuple[float, float]) -> Any:
     """Return a figure of matplotlib, of `size` (width, height) in inches, to be saved as `path`.
 
     Raises:
-        MissingPackageError: matplotlib is not installed.
         ConfigError: the folder of `path` does not exist.
     """
-    figure_module = import_package("matplotlib.figure", f"--out {path}")
+    from matplotlib.figure import Figure
+
     if not path.absolute().parent.is_dir():
         raise ConfigError(f"--out {path}: the folder {path.absolute().parent} does not exist")
-    return figure_module.Figure(figsize=size, dpi=110, layout="constrained")
+    return Figure(figsize=size, dpi=110, layout="constrained")
 
 
 def markdown_table(curves: Curves) -> str:

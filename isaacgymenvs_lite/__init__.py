@@ -34,34 +34,33 @@ def make(
     force_render: bool = True,
     cfg: DictConfig | None = None,
 ) -> VecTask:
-    """Make a task; arguments, names and order as IsaacGymEnvs' `make`, all with a default.
+    """Make a task; names and order of the arguments are IsaacGymEnvs', all have a default.
 
-    While a task of few environments is open, torch computes on fewer threads and says so; see
+    torch computes on fewer threads while a task of few environments is open, and logs it; see
     `isaacgymenvs_lite.utils.threads`.
 
     Args:
-        seed: seeds Python, numpy and torch; -1 for a random seed.
+        seed: seed for Python, numpy and torch; -1 draws one.
         task: name of a task file in cfg/task.
-        num_envs: number of environments; '' = the task file's own.
-        sim_device: accepted for compatibility; the physics runs on the CPU, as the log says.
-        rl_device: torch device of what `step` and `reset` return.
+        num_envs: number of environments; '' means the task file's number.
+        sim_device: has no effect, because the physics runs on the CPU; the log says so.
+        rl_device: torch device of the tensors that `step` and `reset` return.
         graphics_device_id: index of the rendering device.
-        headless: no window; with False the program ends when its window is closed, or by ESC.
-        multi_gpu: of trainings; no effect on a task.
-        virtual_screen_capture: open no window, even with `headless=False`; `render()` returns
-            pictures, drawn without a display.
-        force_render: show every step in the window; False: only when `render` is called.
-        cfg: a composed tree to use instead of composing one; it then gives task, num_envs and
-            seed, and `cfg.task.name` the class.
+        headless: whether to open no window. With False the program ends with its window.
+        multi_gpu: has no effect on a task.
+        virtual_screen_capture: whether `render()` returns pictures. No window is opened then, and
+            no display is needed.
+        force_render: whether the window shows every step, not only the calls of `render`.
+        cfg: a composed tree, which replaces task, num_envs and seed; `cfg.task.name` is the task.
 
     Returns:
         The task; call `close()` when done.
 
     Raises:
-        ConfigError: an unknown task, key or value.
-        DeviceError: a misspelt device, or an `rl_device` that this machine does not have.
-        RenderingError: `virtual_screen_capture`, and this machine cannot draw.
-        MotionFileError: a motion clip that cannot be used.
+        ConfigError: a task, key or value is unknown.
+        DeviceError: a device is misspelt, or this machine lacks the `rl_device`.
+        RenderingError: `virtual_screen_capture` is set, but this machine cannot render.
+        MotionFileError: a motion clip cannot be used.
     """
     from isaacgymenvs_lite.env_factory import make_task
 
@@ -86,10 +85,10 @@ def register_task(name: str, task: Callable[..., VecTask], *, replace: bool = Fa
     Its name in Gymnasium is `IsaacGymEnvsLite/<name>-v0`.
 
     Args:
-        name: as in the task file.
-        task: a subclass of `tasks.base.vec_task.VecTask`, or a function of the same keyword
-            arguments that returns one.
-        replace: replace a registered task of this name.
+        name: the task's name in task files.
+        task: a subclass of `tasks.base.vec_task.VecTask`, or a function with the same keyword
+            arguments that returns a task.
+        replace: whether to replace a registered task of this name.
 
     Raises:
         ConfigError: another task has this name.

@@ -30,10 +30,7 @@ T = TypeVar("T", bound="DataclassInstance")
 
 
 class EscapingFormatter(logging.Formatter):
-    """Escapes control characters in the texts and paths of a message.
-
-    A stranger's run folder may have them in its name.
-    """
+    """Escapes control characters, which the name of a stranger's folder may contain."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the message."""
@@ -47,7 +44,7 @@ class EscapingFormatter(logging.Formatter):
 
 
 def log_messages() -> None:
-    """Send the log to stderr, messages only."""
+    """Send the messages of the log to stderr."""
     handler = logging.StreamHandler()
     handler.setFormatter(EscapingFormatter())
     logging.basicConfig(level=logging.INFO, handlers=[handler])
@@ -62,15 +59,15 @@ def run_command(
 ) -> int:
     """Read `key=value` words into settings and call `action` with them; return the exit code.
 
-    The log goes to stderr, messages only. A user's mistake is one line and exit code 2; Ctrl-C
-    ends with 130.
+    The messages of the log go to stderr. The exit code is 2 after a user's mistake and 130 after
+    Ctrl-C.
 
     Args:
-        parser: may have options and words of its own; the settings are added to it.
+        parser: may have its own options and words; the settings are added to them.
         cls: a dataclass, see `schema.setting`.
         action: receives the settings.
-        arguments: without the program's name; None = `sys.argv`.
-        words: is filled with the parser's own options and words before the action runs.
+        arguments: the words after the program's name; None means `sys.argv`.
+        words: receives the parser's own options and words before the action runs.
     """
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("settings", nargs="*", default=[], metavar="key=value")
@@ -86,10 +83,10 @@ def run_command(
 
 
 def read_settings(cls: type[T], words: Sequence[str]) -> T:
-    """Read `["key=value", ...]`, values as in YAML, into a settings dataclass.
+    """Read `["key=value", ...]` with YAML's values into a settings dataclass.
 
     Raises:
-        ConfigError: a word without =, an unknown key, or a value that cannot be used.
+        ConfigError: a word lacks =, a key is unknown, or a value cannot be used.
     """
     known = [field.name for field in dataclasses.fields(cls)]
     for word in words:

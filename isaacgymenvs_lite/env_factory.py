@@ -1,4 +1,4 @@
-"""Makes tasks from arguments or a composed tree."""
+"""Makes tasks from arguments or from a composed tree."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def make_task(
     config = read_config(cfg)
     settings = config.settings
     seed_everything(resolve_seed(settings.seed, settings.torch_deterministic))
-    # Captured frames are drawn without a display, where Isaac Gym needed a virtual one.
+    # Capturing frames needs no display, unlike in Isaac Gym.
     opens_window = not headless and not virtual_screen_capture
     if opens_window:
         check_display()
@@ -102,16 +102,16 @@ def make_task(
         force_render=force_render,
     )
     if opens_window:
-        # As in Isaac Gym, the program ends with its window.
+        # The program ends with its window, as in Isaac Gym.
         env.listeners.append(Window(env, Path("videos"), sys.exit, every_step=force_render))
     limit_torch_threads(env, threads_for_envs(env.num_envs), settings.num_threads)
     return env
 
 
 def _with_checkout(cfg: DictConfig) -> DictConfig:
-    """Add the checkout of the task file to a tree that a script composed with its own Hydra.
+    """Add the task file's checkout to a tree that another project's script composed.
 
-    The train.py of another project has no such key, and its clips are in its own folders.
+    Such a tree lacks the key `task_checkout`, and its task file names clips in its own checkout.
     """
     if CHECKOUT_KEY in cfg or not HydraConfig.initialized():
         return cfg
@@ -136,11 +136,11 @@ def make_from_config(
     virtual_screen_capture: bool = False,
     force_render: bool = False,
 ) -> VecTask:
-    """Make the task that a tree describes, resolved or as it was composed.
+    """Make the task of a tree, which may be resolved or as it was composed.
 
     Raises:
-        ConfigError: `cfg.task.name` is no task, or a key or value of it cannot be used.
-        MotionFileError: a motion clip that cannot be used.
+        ConfigError: `cfg.task.name` is unknown, or a key or value of the task is wrong.
+        MotionFileError: a motion clip cannot be used.
     """
     tree = plain(cfg)
     task_cfg: Any = copy.deepcopy(tree["task"])
@@ -157,7 +157,7 @@ def make_from_config(
         force_render=force_render,
     )
     if limit := select(tree, ISAAC_LAB_ACTIONS):
-        # Isaac Lab's wrapper has this space, and rl_games scales actions to it.
+        # rl_games scales actions to this space, as under Isaac Lab's wrapper.
         task.act_space = gymnasium.spaces.Box(-limit, limit, task.act_space.shape, np.float32)
     return task
 
@@ -167,7 +167,8 @@ def model_of_recording(file: Path, words: Sequence[str]) -> mujoco.MjModel:
 
     Args:
         file: `<run>/diverged/<name>.npz`.
-        words: of the user, `["task=Ant", "task.sim.dt=0.02"]`; none: the run's config.yaml counts.
+        words: settings such as `["task=Ant", "task.sim.dt=0.02"]`; without them the run's
+            config.yaml is read.
 
     Raises:
         ConfigError: no task is named, or its configuration cannot be used.
@@ -180,8 +181,8 @@ def model_of_recording(file: Path, words: Sequence[str]) -> mujoco.MjModel:
         tree["task"]["env"]["numEnvs"] = 1
     else:
         raise ConfigError(
-            f"{file}: which task? expected it in <run>/diverged/, beside the run's config.yaml, or"
-            " the words of its training after FILE: task=Ant"
+            f"{file}: the task is unknown; expected a file in <run>/diverged/ of a run with its"
+            " config.yaml, or the settings of the training after FILE: task=Ant"
         )
     seed_everything(max(0, int(tree.get("seed") or 0)))
     task = make_from_config(tree, sim_device="cpu", rl_device="cpu")
@@ -192,12 +193,11 @@ def model_of_recording(file: Path, words: Sequence[str]) -> mujoco.MjModel:
 def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:
     """Replace the names of clip and model in `task.env` by their paths, in place.
 
-    The search goes through the working folder, the checkout of the task file, and the files of this
-    project.
+    The search covers the working folder, the checkout of the task file, and this project's files.
 
     Raises:
-        MotionFileError: there is no such clip; the message lists the searched folders.
-        ConfigError: there is no such model; likewise.
+        MotionFileError: the clip was not found; the message lists the searched folders.
+        ConfigError: the model was not found; the message lists the searched folders.
     """
     clip = env.get("motion_file")
     if isinstance(clip, str) and clip and not is_package_name(clip):
@@ -215,15 +215,15 @@ def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:
 
 
 def _of_sword_humanoid(env: dict[str, Any], checkout: Path) -> str:
-    """Return what to use for a missing clip of ASE's armed humanoid; '' for others."""
+    """Return a hint for a missing clip of ASE's armed humanoid; '' for other models."""
     asset = env.get("asset")
     model = str(asset.get("assetFileName")) if isinstance(asset, dict) else ""
     if Path(model).name != "amp_humanoid_sword_shield.xml":
         return ""
     return (
-        f"'{env['motion_file']}' is not in {checkout}; give a clip or a data set of the humanoid"
+        f"'{env['motion_file']}' is not in {checkout}; give a clip or a dataset of the humanoid"
         " with sword and shield (ASE's are not shipped), or deepmimic:walk; the shipped clips are"
-        " of the humanoid without: task.env.motion_file=locomotion.yaml"
+        " for the humanoid without weapons: task.env.motion_file=locomotion.yaml"
         " task.env.asset.assetFileName=mjcf/amp_humanoid.xml"
         " 'task.env.keyBodies=[right_hand,left_hand,right_foot,left_foot]'"
     )
@@ -232,9 +232,9 @@ def _of_sword_humanoid(env: dict[str, Any], checkout: Path) -> str:
 def _folder_of_model(
     asset: dict[str, Any], checkout: Path, published: Collection[str]
 ) -> Path | None:
-    """Return the folder of a model in a checkout, None for the models of this project."""
+    """Return the folder of a model in a checkout, None for this project's models."""
     name, root = asset["assetFileName"], str(asset.get("assetRoot") or "")
-    # Not Path.is_file, which fails for names that are too long for a file.
+    # Path.is_file would raise for a name that is too long.
     ours = not name or os.path.isfile(assets_dir() / name) or name in published
     if ours or os.path.isfile(Path(root) / name):
         return None
@@ -250,14 +250,14 @@ def _folder_of_model(
 
 
 def seed_everything(seed: int, torch_deterministic: bool = False) -> None:
-    """Seed Python, numpy and torch; with `torch_deterministic` forbid nondeterministic kernels."""
+    """Seed Python, numpy and torch; `torch_deterministic` also forbids nondeterministic kernels."""
     random.seed(seed)
     np.random.seed(seed)
     torch.manual_seed(seed)
     torch.cuda.manual_seed_all(seed)
     if torch_deterministic:
         torch.use_deterministic_algorithms(True)
-        # It would write every new tensor: a twentieth of a training's time.
+        # Filling every new tensor would take a twentieth of a training's time.
         _DETERMINISM.fill_uninitialized_memory = False
         torch.backends.cudnn.benchmark = False
         torch.backends.cudnn.deterministic = True
@@ -265,9 +265,9 @@ def seed_everything(seed: int, torch_deterministic: bool = False) -> None:
 
 @contextmanager
 def torch_settings_kept() -> Iterator[None]:
-    """Restore what `seed_everything` and rl_games set in torch, so that runs do not affect others.
+    """Restore the settings of torch that `seed_everything` and rl_games change.
 
-    The generators go on.
+    The state of the random generators is not restored.
     """
     cudnn: Any = torch.backends.cudnn
     is_deterministic = torch.are_deterministic_algorithms_enabled()

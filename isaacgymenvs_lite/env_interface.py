@@ -1,7 +1,7 @@
-"""What agents, players and measurements use of a task: Protocols, so that no class is inherited.
+"""Protocols for the members of a task that agents, players and measurements use.
 
-A task of another project fits if it has the members; it imports nothing from here. `require` checks
-them once, when an agent or a player is made. N is the number of environments.
+A task of another project fits if it has these members; it needs no base class of this project.
+`require` checks them once, when an agent or a player is made. N is the number of environments.
 """
 
 from __future__ import annotations
@@ -18,27 +18,26 @@ from isaacgymenvs_lite.motion.motion_lib import MotionLib
 
 
 class StepListener(Protocol):
-    """Called after each control step: a video writer, a window. One of `VecTask.listeners`.
+    """An entry of `VecTask.listeners`, for example a video writer or a window.
 
-    It reads the task and changes nothing in it, except that a viewer passes keys to `on_key`. If it
-    has a true attribute `keeps_playing`, a player goes on after its last episode.
+    A listener does not change the task, except that a viewer passes keys to `on_key`. A player goes
+    on after its last episode if a listener has a true attribute `keeps_playing`.
     """
 
     def after_step(self) -> None:
-        """A control step was made; the episodes that ended in it are not reset yet."""
+        """Read the task after a control step; episodes that ended in it are not reset yet."""
 
     def render(self) -> None:
-        """Render the current state: `VecTask.render` was called."""
+        """Render the current state when `VecTask.render` is called."""
 
     def close(self) -> None:
         """Finish and release everything; a second call does nothing."""
 
 
 class Env(Protocol):
-    """A task that resets its episodes on request, as `evaluation.evaluate` plays it."""
+    """A task that resets its episodes on request, for `evaluation.evaluate`."""
 
     num_envs: int
-    """N."""
     rl_device: Any
     """Device of observations, rewards and dones."""
     progress_buf: Tensor
@@ -58,9 +57,9 @@ class Env(Protocol):
 
 
 class AMPObsEnv(Protocol):
-    """A task whose `infos["amp_obs"]` (N, F) show the motion of the last control steps.
+    """A task whose `infos["amp_obs"]` (N, F) describe the motion of the last control steps.
 
-    Its `num_amp_obs_steps`, an int, is how many; without it 1 is assumed.
+    The optional attribute `num_amp_obs_steps`, 1 by default, is the number of these steps.
     """
 
     amp_observation_space: gymnasium.spaces.Box
@@ -68,10 +67,11 @@ class AMPObsEnv(Protocol):
 
 
 class AMPEnv(AMPObsEnv, Protocol):
-    """A task that AMP can learn: it also has reference motions.
+    """A task that AMP can learn, because it also has reference motions.
 
-    `infos["terminate"]` (N,) is 1 where an episode ended by a failure. `infos["off_clip"]` (N,)
-    bool, which a task may leave out, is true where that was no fall: the motion left its clip.
+    `infos["terminate"]` (N,) is 1 where an episode ended by a failure. The optional
+    `infos["off_clip"]` (N,) bool is true where the failure was not a fall, but the motion left its
+    clip.
     """
 
     def fetch_amp_obs_demo(self, num_samples: int) -> Tensor:
@@ -81,11 +81,11 @@ class AMPEnv(AMPObsEnv, Protocol):
 
 @dataclass(frozen=True)
 class TrackingDemo:
-    """Moments of the reference motions, for the actor to learn.
+    """Moments of the reference motions from which the actor learns.
 
     Attributes:
         obs: (n, O) observations.
-        actions: (n, A) that make the drives go on as the clips do, within +-1.
+        actions: (n, A) actions within +-1 with which the drives follow the clips.
         amp_obs: (n, F) AMP observations of the same moments.
     """
 
@@ -95,10 +95,10 @@ class TrackingDemo:
 
 
 class TrackingEnv(AMPEnv, Protocol):
-    """A task that shows how to follow its reference motions, for a warm start."""
+    """A task that gives actions along its reference motions, for a warm start."""
 
     def fetch_tracking_demo(self, num_samples: int, with_goal: bool = True) -> TrackingDemo | None:
-        """Return n moments, None if they are not known; called before a reset of all episodes.
+        """Return n moments, None if they are unknown; the caller resets all episodes afterwards.
 
         Observations without the goal lack their last `get_task_obs_size()` entries.
         """
@@ -109,7 +109,6 @@ class SkillEnv(AMPEnv, Protocol):
     """A task for policies that act under skill latents (GenAMP, ASE)."""
 
     num_envs: int
-    """N."""
     progress_buf: Tensor
     """(N,) control steps of the running episodes."""
 
@@ -122,22 +121,22 @@ class ClipSkillEnv(SkillEnv, Protocol):
         ...
 
     def fetch_amp_obs_demo_pairs(self, num_samples: int) -> Tensor:
-        """Return AMP observations (num_samples, 2, F) of two moments of the same clip each."""
+        """Return AMP observations (num_samples, 2, F) of pairs of moments of the same clip."""
         ...
 
 
 class ClipKeepingEnv(ClipSkillEnv, Protocol):
-    """A task that can end episodes which leave the clip that they started in."""
+    """A task that can end episodes that leave their clip."""
 
     def keep_to_clips(self, env_ids: Tensor) -> None:
-        """From here on, episodes (n,) that started in a clip fail if they leave it."""
+        """Let episodes (n,) that started in a clip fail as soon as they leave it."""
 
     def leave_clips(self, env_ids: Tensor) -> None:
-        """From here on, episodes (n,) may do something else."""
+        """Allow episodes (n,) to leave their clip from now on."""
 
 
 class ClipWindowsEnv(AMPObsEnv, Protocol):
-    """A task in whose reference motions `SkillProbe` looks for what a policy shows."""
+    """A task with whose reference motions `SkillProbe` compares the motions of a policy."""
 
     num_amp_obs_steps: int
     """Control steps of an AMP observation."""
@@ -155,23 +154,23 @@ class HierarchyEnv(AMPObsEnv, Protocol):
     """A task for a high-level policy over a low-level controller (HRL)."""
 
     observation_space: gymnasium.spaces.Box
-    """Shape (O,) of an observation, the task's features included."""
+    """Shape (O,) of an observation, including the task's features."""
     action_space: gymnasium.spaces.Box
     """Shape (A,) and limits of the low-level controller's actions."""
     reset_buf: Tensor
     """(N,) 1 where the next `reset_done` starts a new episode; the agent writes into it."""
 
     def get_task_obs_size(self) -> int:
-        """Return how many entries of an observation, the last ones, describe the task."""
+        """Return the number of entries at the end of an observation that describe the task."""
         ...
 
 
 def failures(dones: Tensor, infos: dict[str, Any]) -> Tensor:
-    """Return (N,) 1 where an episode ended by a failure: no future to bootstrap from.
+    """Return (N,) 1 where an episode ended by a failure, so that its value is not bootstrapped.
 
     Args:
         dones: (N,) 1 where an episode ended.
-        infos: of the step; without `terminate` and `time_outs` (N,) every end is a failure.
+        infos: the step's infos; without `terminate` and `time_outs` (N,) every end is a failure.
     """
     if "terminate" in infos:
         return infos["terminate"].to(dones.device)
@@ -181,21 +180,21 @@ def failures(dones: Tensor, infos: dict[str, Any]) -> Tensor:
 
 
 def goal_size(env: Any) -> int:
-    """Return the number of goal entries that end an observation; 0 without a goal."""
+    """Return the number of goal entries at the end of an observation; 0 without a goal."""
     size_of = getattr(env, "get_task_obs_size", None)
     return 0 if size_of is None else int(size_of())
 
 
 class GoalEnv(Env, Protocol):
-    """A task that measures how far a step was from its goal."""
+    """A task that measures the errors of its goal."""
 
     def goal_errors(self) -> dict[str, Tensor]:
-        """Return errors (N,) of the last step by name, such as `velocity_error_m_s`."""
+        """Return the last step's errors (N,) by name, for example `velocity_error_m_s`."""
         ...
 
 
 class BodyStates(Protocol):
-    """A task's `simulation`, as far as measurements read it; B bodies, positions in m."""
+    """The members of a task's `simulation` that measurements read; B bodies, positions in m."""
 
     body_names: Any
     """B names."""
@@ -212,8 +211,8 @@ class BodyStates(Protocol):
 class ReferenceEnv(Env, Protocol):
     """A task whose motion is compared with its reference motions.
 
-    Its `clip_starts_s` (N,), which it may leave out, are the times of its only clip at which the
-    episodes started that end with the clip; None: they go on.
+    The optional attribute `clip_starts_s` (N,) belongs to a task whose episodes end with its only
+    clip: it has the clip's times in s at which the episodes started. Otherwise it is None.
     """
 
     motion_lib: MotionLib
@@ -235,8 +234,8 @@ def diverged_in(infos: Any, device: Any) -> Tensor | None:
     """Return where the simulation diverged in a step, (N,) bool on `device`; None if nowhere.
 
     Args:
-        infos: of the step; `diverged` (N,) bool is of a task that reports it.
-        device: of the result.
+        infos: the step's infos; some tasks have `diverged` (N,) bool.
+        device: device of the result.
     """
     diverged = infos.get("diverged") if isinstance(infos, dict) else None
     if not reports_divergence(diverged) or not bool(diverged.any()):
@@ -245,7 +244,7 @@ def diverged_in(infos: Any, device: Any) -> Tensor | None:
 
 
 def reports_divergence(diverged: Any) -> TypeGuard[Tensor]:
-    """Return whether `VecTask` writes an info of this name: a task may have another."""
+    """Return whether an info `diverged` has `VecTask`'s type; a task may have another meaning."""
     return isinstance(diverged, Tensor) and diverged.ndim == 1 and diverged.dtype == torch.bool
 
 
@@ -262,20 +261,20 @@ def _missing_members(env: object, contract: type) -> list[str]:
 
 
 def require(env: Any, contract: type[E], user: str) -> E:
-    """Return `env`, once it has all members of a Protocol of this module.
+    """Check that `env` has all members of a Protocol of this module, and return it.
 
     Args:
         env: the task.
         contract: the Protocol.
-        user: what needs it, the first words of the message: `StyleReward`.
+        user: the name of the object that needs the task, for the message: `StyleReward`.
 
     Raises:
-        ConfigError: a member is missing; all of them are named.
+        ConfigError: members are missing; the message names them.
     """
     if missing := _missing_members(env, contract):
         raise ConfigError(
             f"{user} needs a task with reference motions, such as task=HumanoidAMP;"
-            f" {type(env).__name__} has no {', '.join(missing)} (expected is"
+            f" {type(env).__name__} has no {', '.join(missing)} (see"
             f" isaacgymenvs_lite.env_interface.{contract.__name__})"
         )
     return env

@@ -1,8 +1,8 @@
 """Errors for users, one line each.
 
-Every mistake that a user can make on the command line, in a YAML file or in an input file raises a
-`UserError`. The command line shows its message as one line and exits with code 2; as a library
-they are ordinary exceptions. A message has what was given, what was expected and what to do next.
+A mistake on the command line, in a YAML file or in an input file raises a `UserError`. Commands
+print its message on one line and exit with code 2; a program can catch it like any exception. A
+message says what was given, what was expected and what to do next.
 """
 
 from __future__ import annotations
@@ -11,20 +11,20 @@ import difflib
 from collections.abc import Iterable, Sequence
 
 MAX_MESSAGE = 2000
-"""Characters of a message. Of a longer one the middle is left out: the beginning has the file or
-the key, the end what to do next."""
+"""Largest number of characters of a message. A longer message loses its middle, because the file or
+the key stands at the beginning and the next step at the end."""
 _KEPT_END = 160
 EXIT_USER_ERROR = 2
 """Exit status of every command after a user's mistake."""
 EXIT_INTERRUPTED = 130
-"""Exit status of every command that Ctrl-C ends, as shells expect."""
+"""Exit status of every command after Ctrl-C, as shells expect."""
 
 
 class UserError(Exception):
     """Base of all errors that a user can cause and mend.
 
-    The message may quote a stranger's file: it is shown on one line, without control characters
-    (which could write to a terminal), and of at most `MAX_MESSAGE` characters.
+    The message may quote a stranger's file. It is therefore printed on one line, without control
+    characters, which could change a terminal, and has at most `MAX_MESSAGE` characters.
     """
 
     def __str__(self) -> str:
@@ -41,7 +41,7 @@ class ConfigError(UserError, ValueError):
 
 
 class DeviceError(UserError, ValueError):
-    """A device is named that this machine does not have."""
+    """A setting names a device that this machine lacks."""
 
 
 class MotionFileError(UserError, ValueError):
@@ -49,29 +49,29 @@ class MotionFileError(UserError, ValueError):
 
 
 class CheckpointError(UserError, ValueError):
-    """A checkpoint is missing, damaged, unsafe or of another network."""
+    """A checkpoint is missing, damaged, unsafe or belongs to another network."""
 
 
 class NotFiniteError(UserError, ArithmeticError):
-    """Numbers of a training are nan or infinite; it cannot go on."""
+    """Values of a training are NaN or infinite, so that it cannot go on."""
 
 
 class JobError(UserError):
     """A job of a sweep has failed; the message is the reason.
 
-    It is made of its message alone, so that it can come from another process.
+    The message is the only argument, so that the error can be pickled.
     """
 
 
 class SweepError(JobError):
-    """The settings of a sweep do not fit any of its jobs: the sweep ends."""
+    """The settings of a sweep are wrong for all of its jobs, so that the sweep ends."""
 
 
 class StoppedAtOnceError(KeyboardInterrupt):
     """The user ended a training in the middle of an epoch, with a second Ctrl-C or SIGTERM.
 
     Attributes:
-        exit_status: what the process ends with, as shells expect it after this signal.
+        exit_status: exit status of the process, as shells expect it after this signal.
     """
 
     def __init__(self, signal_number: int) -> None:
@@ -80,31 +80,31 @@ class StoppedAtOnceError(KeyboardInterrupt):
 
 
 class PeerError(UserError):
-    """Another process of a data-parallel training has gone; its own error is the cause."""
+    """Another process of a data-parallel training has ended because of its own error."""
 
 
 class PeerMistakeError(PeerError):
-    """Another process of a data-parallel training ends with an error, and all do."""
+    """Another process of a data-parallel training has reported a mistake; all processes end."""
 
 
 class WrapperError(UserError, TypeError):
-    """An adapter got something else than a task."""
+    """A wrapper received an object that is not a task."""
 
 
 class OverrideError(UserError, AttributeError):
-    """A subclass defines what nothing calls or reads here, or sets what is only read."""
+    """A subclass defines a member that nothing here uses, or sets a member that is read-only."""
 
 
 class MissingPackageError(UserError, ImportError):
-    """A package is missing that an extra of this package installs."""
+    """A package of one of our extras is not installed."""
 
 
 class UnavailableError(UserError, NotImplementedError):
-    """A published name can be imported, but what it does is not part of this version."""
+    """A published name can be imported, but this version does not implement it."""
 
 
 def printable(text: str) -> str:
-    """Return a text of a file without control characters: they are written as escapes."""
+    """Return a text with its control characters written as escapes."""
     if text.isprintable():
         return text
     return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
@@ -116,7 +116,7 @@ def one_line(error: BaseException | str) -> str:
 
 
 def listed(names: Sequence[str], most: int = 8) -> str:
-    """Return the first names, and how many more there are."""
+    """Return the first names and the number of the others."""
     shown = ", ".join(names[:most]) or "none"
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")
 

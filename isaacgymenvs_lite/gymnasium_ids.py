@@ -1,12 +1,12 @@
-"""Names of the tasks in Gymnasium's registry: `IsaacGymEnvsLite/Cartpole-v0`, `Isaac-Ant-v0`.
+"""Registers the tasks with Gymnasium: `IsaacGymEnvsLite/Cartpole-v0`, `Isaac-Ant-v0`.
 
-Under Isaac Lab's names, for its scripts, `gymnasium.make` returns all environments of a task in
-one, as Isaac Lab does.
+The names `Isaac-...` are Isaac Lab's, for its scripts: `gymnasium.make` then returns one object for
+all environments of a task, as in Isaac Lab.
 
-Importing Gymnasium takes longer than all else that happens before a user's mistake is reported. So
-`import isaacgymenvs_lite` leaves it out: the tasks are registered at once if Gymnasium is imported
-already, else right after its import. No task is imported; Gymnasium's registry holds the names of
-the functions that make them.
+`import isaacgymenvs_lite` does not import Gymnasium, because that takes longer than everything else
+before a user's mistake is reported. The tasks are registered at once if Gymnasium has been
+imported, otherwise right after its import. Tasks are not imported: Gymnasium's registry contains
+the names of the functions that make them.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from isaacgymenvs_lite.paths import PARTS, cfg_dir
 
 NAMESPACE = "IsaacGymEnvsLite"
 ENTRY_POINTS = "isaacgymenvs_lite.tasks"
-"""Group of entry points with which an installed package names its tasks."""
+"""Group of entry points through which an installed package offers its tasks."""
 
-# Isaac Lab has these tasks twice, in its two workflows.
+# Isaac Lab has each of these tasks in both of its workflows.
 _ISAAC_LAB_IDS = {
     f"Isaac-{task}{workflow}-v0": task
     for task in ("Ant", "Cartpole", "Humanoid")
@@ -35,7 +35,7 @@ _ISAAC_LAB_IDS = {
 _REGISTRY = "gymnasium.envs"
 _FACTORY = "isaacgymenvs_lite.wrappers.gymnasium_env"
 
-# Names to register once Gymnasium is imported.
+# Tasks to register after Gymnasium's import.
 _waiting: list[str] = []
 
 
@@ -45,13 +45,13 @@ def env_id(task: str) -> str:
 
 
 def task_of_id(name: str) -> str:
-    """Return the task of a name in Gymnasium's registry; other names unchanged."""
+    """Return the task of a name in Gymnasium's registry; any other name is returned unchanged."""
     match = re.fullmatch(rf"{NAMESPACE}/(.+)-v\d+", name)
     return match[1] if match else _ISAAC_LAB_IDS.get(name, name)
 
 
 def register_tasks() -> None:
-    """Register all tasks, also of installed packages, now or when Gymnasium is imported."""
+    """Register our tasks and those of installed packages, now or after Gymnasium's import."""
     if _REGISTRY in sys.modules:
         _register_all()
     else:
@@ -59,7 +59,7 @@ def register_tasks() -> None:
 
 
 def register_task_id(task: str) -> None:
-    """Register one task by name, now or when Gymnasium is imported; a second time does nothing."""
+    """Register one task by name, now or after Gymnasium's import; a second call does nothing."""
     if _REGISTRY in sys.modules:
         _register(task)
     else:
@@ -67,7 +67,7 @@ def register_task_id(task: str) -> None:
 
 
 def _register_all() -> None:
-    from importlib.metadata import entry_points  # takes longer to import than all of this package
+    from importlib.metadata import entry_points  # slower to import than this whole package
 
     from gymnasium.envs.registration import register, registry
 
@@ -82,7 +82,7 @@ def _register_all() -> None:
                 name,
                 entry_point="isaacgymenvs_lite.wrappers.isaac_lab_env:make_isaac_lab_env",
                 vector_entry_point=f"{_FACTORY}:make_vector_env",
-                disable_env_checker=True,  # it expects numbers where batches are
+                disable_env_checker=True,  # the checker refuses batches
                 kwargs={"task": task},
             )
 
@@ -90,7 +90,7 @@ def _register_all() -> None:
 def _register(task: str) -> None:
     from gymnasium.envs.registration import register, registry
 
-    # Gymnasium refuses other names; isaacgymenvs_lite.make makes such tasks.
+    # Gymnasium refuses other names; isaacgymenvs_lite.make accepts them.
     if env_id(task) in registry or not re.fullmatch(r"[\w.:-]+", task):
         return
     register(
@@ -102,7 +102,7 @@ def _register(task: str) -> None:
 
 
 class _WhenImported(MetaPathFinder):
-    """Leaves Gymnasium's import to the other finders, and registers the tasks after it."""
+    """Lets the other finders import Gymnasium, then registers the tasks."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None

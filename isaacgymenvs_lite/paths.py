@@ -1,7 +1,7 @@
 """Finds the folders of the configuration and of the assets, and reads paths that a user gives.
 
-In a checkout the folders are `<repository>/cfg` and `<repository>/assets`; an installed wheel
-carries them inside the package. The working directory plays no part.
+The folders are `<repository>/cfg` and `<repository>/assets` in a checkout; an installed wheel has
+them inside the package. They do not depend on the working directory.
 """
 
 from __future__ import annotations
@@ -15,49 +15,49 @@ _PACKAGE_DIR = Path(__file__).resolve().parent
 
 
 PARTS = ("Classic", "HumanoidRandomization", "RobotRandomization", "ClassicPPO", "ClassicSAC")
-"""Files of cfg/ that others include, and that are no task or training by themselves."""
+"""Files of cfg/ that only other files include."""
 
 
 def cfg_dir() -> Path:
-    """Return the folder that holds config.yaml, task/, train/ and pbt/."""
+    """Return the folder with config.yaml, task/, train/ and pbt/."""
     return _data_dir("cfg", marker="config.yaml")
 
 
 def assets_dir() -> Path:
-    """Return the folder that holds mjcf/ and amp/motions/."""
+    """Return the folder with mjcf/ and amp/motions/."""
     return _data_dir("assets", marker="mjcf")
 
 
 def shipped_policies_dir() -> Path:
-    """Return the folder of the policies that come with the project."""
+    """Return the folder of the shipped policies."""
     return assets_dir() / "policies"
 
 
 def shipped_policies() -> dict[str, Path]:
-    """Return the shipped policies, name -> file, in the order of their names."""
+    """Return the files of the shipped policies by name, in alphabetical order."""
     return {path.stem: path for path in sorted(shipped_policies_dir().glob("*.pth"))}
 
 
 def user_path(given: str | Path) -> Path:
-    """Return a path that a user gives, with `~` and `~name` replaced by the home folder.
+    """Return a user's path with `~` and `~name` replaced by the home folder.
 
     Raises:
-        ConfigError: there is no such home folder.
+        ConfigError: the home folder is unknown.
     """
     try:
         return Path(given).expanduser()
     except RuntimeError as error:
         home = Path(given).parts[0]
         raise ConfigError(
-            f"{given}: no home folder of '{home}' is known; give the whole path"
+            f"{given}: the home folder of '{home}' is unknown; give the whole path"
         ) from error
 
 
 def check_working_folder() -> None:
-    """Check that the working folder exists: without it torch ends the process while it loads.
+    """Check that the working folder exists; importing torch would end the process otherwise.
 
     Raises:
-        ConfigError: somebody has removed it.
+        ConfigError: the working folder was removed.
     """
     try:
         os.getcwd()
@@ -66,10 +66,10 @@ def check_working_folder() -> None:
 
 
 def _data_dir(name: str, marker: str) -> Path:
-    """Return the package's own data folder `name`, else the one beside the package.
+    """Return the data folder `name` inside the package or next to it.
 
     Raises:
-        FileNotFoundError: neither holds `marker`, which means that the installation is incomplete.
+        FileNotFoundError: neither folder contains `marker`; the installation is incomplete.
     """
     candidates = (_PACKAGE_DIR / name, _PACKAGE_DIR.parent / name)
     for candidate in candidates:

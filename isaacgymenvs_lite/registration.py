@@ -1,4 +1,4 @@
-"""Registers our agents, players, models, networks and tasks with rl_games; nothing else does.
+"""Registers our agents, players, models, networks and tasks with rl_games.
 
     from rl_games.torch_runner import Runner
     from isaacgymenvs_lite.registration import register
@@ -7,8 +7,8 @@
     register(runner)
     runner.load(yaml_config)    # config: env_name: rlgpu, env_config: {task: HumanoidAMP, ...}
 
-`amp_agent` is then `LeastSquaresAMPAgent`. A builder for `AMPAgent` that the caller registers pays
-the logistic style reward, as IsaacGymEnvs does.
+`amp_agent` is then `LeastSquaresAMPAgent`. If the caller registers `AMPAgent` instead, the style
+reward is logistic, as in IsaacGymEnvs.
 """
 
 from __future__ import annotations
@@ -68,18 +68,18 @@ _NETWORKS: dict[str, type] = {
     "hrl": HRLBuilder,
 }
 _ENV_NAME = "rlgpu"
-# Keys of train.params.config that `runner` reads, beside those of the agents.
+# `runner` reads these keys of train.params.config; the agents read the others.
 _RUNNER_KEYS = ("imitation_frequency", "print_disc_prediction", "save_buffers")
 
 
 def register(runner: Runner) -> None:
-    """Add all our algorithms, players, models, networks and tasks to a rl_games Runner."""
+    """Add all our algorithms, players, models, networks and tasks to rl_games' Runner."""
     register_networks()
     register_algorithms(runner)
 
 
 def register_algorithms(runner: Runner) -> None:
-    """Add our algorithms and players to a rl_games Runner, replacing its own of the same name."""
+    """Add our algorithms and players to rl_games' Runner; they replace those of the same name."""
     for name, (agent, player) in _ALGORITHMS.items():
         runner.algo_factory.register_builder(name, agent)
         runner.player_factory.register_builder(name, player)
@@ -87,9 +87,9 @@ def register_algorithms(runner: Runner) -> None:
 
 def register_networks() -> None:
     """Register our models, networks and tasks with rl_games, for all Runners."""
-    # rl_games scripts its normalisers, for which torch 2.14 prints a warning that no user can mend.
+    # rl_games uses torch.jit.script; torch 2.14 prints a warning that no user can mend.
     warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
-    # The first backward pass on a GPU warns; torch makes the context itself then.
+    # The first backward pass on a GPU warns although torch then makes the context itself.
     no_context = "Attempting to run cuBLAS, but there was no current CUDA context"
     warnings.filterwarnings("ignore", no_context, UserWarning)
     if _ENV_NAME not in env_configurations.configurations:
@@ -108,9 +108,9 @@ def build_runner(observer: AlgoObserver | None = None) -> Runner:
 
 
 def register_env(creator: Callable[..., VecTask] | None = None) -> None:
-    """Make `env_name: rlgpu` of train files mean the task that `creator(**env_config)` returns.
+    """Register `creator(**env_config)` as the task of `env_name: rlgpu` in train files.
 
-    None stands for `isaacgymenvs_lite.make`.
+    The default creator is `isaacgymenvs_lite.make`.
     """
     vecenv.register("RLGPU", RLGPUEnv)
     env_configurations.register(
@@ -119,7 +119,7 @@ def register_env(creator: Callable[..., VecTask] | None = None) -> None:
 
 
 def known_names(runner: Runner) -> KnownNames:
-    """Return the names that a train file may use, and the keys that our agents read."""
+    """Return the registered names that a train file may use, and the keys of our agents."""
     builder = model_builder.ModelBuilder()
     return KnownNames(
         algos=sorted(runner.algo_factory._builders),

@@ -1,8 +1,8 @@
-"""Trains or plays what a composed configuration describes.
+"""Trains or plays the agent of a composed configuration.
 
 cfg = compose(["task=HumanoidAMP", "checkpoint=walk", "test=True"])
-run(cfg)                            # as train.py
-with load_player(cfg) as player:    # a policy and its task, for a loop of one's own
+run(cfg)                            # like train.py
+with load_player(cfg) as player:    # a policy and its task, for your own loop
     actions = player.act(player.env.reset())
 """
 
@@ -78,14 +78,15 @@ _rl_games_log = logging.getLogger("rl_games")
 
 _DEFAULT_IMITATION_FREQUENCY = 50
 _PRECISION = "train.params.config.mixed_precision"
-# Processes that train together need the same packages, and settings but these.
+# Processes that train together need the same packages and the same settings. Only the settings in
+# _OF_MACHINES may differ.
 _SAME_VERSIONS = ("isaacgymenvs_lite", "rl_games", "torch", "mujoco")
 _OF_MACHINES = ("rl_device", "sim_device", "graphics_device_id", "num_threads")
-# Only the main process shows and uploads.
+# The other processes show nothing and upload nothing.
 _QUIET = {"headless": True, "viewer": "", "capture_video": False, "wandb_activate": False}
 _MEASURED_EPISODES = 16
 _MEASUREMENTS = 20
-# Control steps: 16 episodes of Anymal's 2,500 take 4 s. Some tasks' episodes never end.
+# In control steps. 16 episodes of Anymal, with 2,500 steps each, take 4 s.
 _LONGEST_MEASURED = 10_000
 
 
@@ -96,20 +97,19 @@ def run(
     stop: StopRequest | None = None,
     direction: str = "",
 ) -> float | None:
-    """Train (`test=False`) or play (`test=True`) as a composed tree says.
+    """Train (`test=False`) or play (`test=True`) the agent of a composed tree.
 
     Args:
-        cfg: the tree, or what `read_config` made of it.
-        command: the command line that the tree was composed from, for hints; None if a program
-            composed it.
-        stop: stores whether the user has ended a training; None: the caller does not need it.
-        direction: of a study, `minimize` or `maximize`; '' for none.
+        cfg: the tree, or the result of `read_config`.
+        command: the command line of the tree, for hints in the log; None if a program composed it.
+        stop: tells the caller whether the user has ended the training.
+        direction: a study's direction, `minimize` or `maximize`; '' without a study.
 
     Returns:
         The result of `train` or `play`.
 
     Raises:
-        UserError: a mistake that the user can correct; nothing was trained then.
+        UserError: the user made a mistake; nothing was trained.
         RestartRequest: the training goes on in a new process, see `train`.
     """
     config = _checked(cfg)
@@ -126,27 +126,26 @@ def train(
     stop: StopRequest | None = None,
     direction: str = "",
 ) -> float | None:
-    """Train the agent of a composed tree in a run folder of its own; the arguments are `run`'s.
+    """Train the agent of a composed tree in its own run folder; the arguments are those of `run`.
 
     Returns:
-        The number that compares runs, see `Objective`: the best pose error in m (less is better),
-        or the best mean reward (more is better). None if nothing could be measured: no episode has
-        ended, or the user has ended the run before.
+        The value by which runs are compared, see `Objective`: the best pose error in m (less is
+        better) or the best mean reward (more is better). It is None if no episode has ended.
 
     Raises:
-        UserError: a mistake that the user can correct. The run folder is removed, unless the
-            training had begun (`NotFiniteError`, or a last checkpoint that cannot be written).
+        UserError: the user made a mistake. The run folder is removed unless the training has begun
+            (`NotFiniteError`, or a last checkpoint that cannot be written).
         KeyboardInterrupt: the user ended the training with a second Ctrl-C or SIGTERM
             (`StoppedAtOnceError`); a checkpoint was saved if that was possible.
         RestartRequest: the policy of a population goes on with other settings in a new process,
-            `pbt.restart.start_again`; everything of this one is closed.
+            see `pbt.restart.start_again`.
     """
     config, stop = _checked(cfg), stop or StopRequest()
     joined = _joined_processes(config)
     with _memory_errors_explained(config), joined as group, ExitStack() as stack:
         launch = _read_launch_together(config, group, stack)
         make_task = stack.enter_context(_open_tasks(launch))
-        # Everything that can be refused is made before the run folder exists.
+        # Whatever may be refused is made before the run folder exists.
         with group.together():
             population = population_of(
                 launch.tree, launch.seed, launch.folder.train_dir, decides=group.is_main
@@ -198,7 +197,7 @@ def train(
             interrupt = _guarded(run_agent, observers, launch, group, stop)
         finally:
             observers.close_log()
-            viewers.close()  # before wandb: its run gets the last videos
+            viewers.close()  # before wandb, which uploads the last videos
             observers.close_wandb()
         best = None
         if group.is_main:
@@ -222,11 +221,14 @@ def _guarded(
     group: ProcessGroup,
     stop: StopRequest,
 ) -> KeyboardInterrupt | None:
-    """Train until the end; save what there is if the user ends it. Return a second Ctrl-C."""
+    """Train until the end, or save a checkpoint when the user ends the training.
+
+    A second Ctrl-C is returned, so that the caller can close everything before raising it.
+    """
     try:
         run_agent()
     except NotFiniteError:
-        raise  # the run folder shows how it happened
+        raise  # the run folder stays, because its curves show the cause
     except UserError as error:
         launch.folder.remove_if_unused()
         if not getattr(observers.agent, "has_joined", False):
@@ -235,7 +237,7 @@ def _guarded(
     except RestartRequest:
         if not stop.requested:
             raise
-        _save(observers.agent, launch, "_interrupted")  # the user was faster
+        _save(observers.agent, launch, "_interrupted")  # the user has ended the training
     except KeyboardInterrupt as error:
         log.warning("stopped at once")
         _save(observers.agent, launch, "_interrupted")
@@ -246,12 +248,12 @@ def _guarded(
 
 @torch_settings_kept()
 def play(cfg: DictConfig | CheckedConfig, *, direction: str = "") -> float | None:
-    """Play the policy of a composed tree's checkpoint, and log what it reaches; see `run`.
+    """Play the policy of a composed tree's checkpoint and log its results; see `run`.
 
     Returns:
-        The pose error in m or the mean reward of the episodes, whichever the training of such a
-        policy returns. None if nothing was measured: the window was closed before, or the player
-        is not this project's.
+        The pose error in m or the mean reward of the episodes, the same quantity that `train`
+        returns for this policy. None if nothing was measured, because the window was closed or the
+        player belongs to another project.
     """
     launch = _read_launch(_checked(cfg))
     with (
@@ -282,12 +284,12 @@ def play(cfg: DictConfig | CheckedConfig, *, direction: str = "") -> float | Non
 
 @contextmanager
 def load_player(cfg: DictConfig) -> Iterator[Any]:
-    """Give rl_games' player of a composed tree's checkpoint, and free its task at the end.
+    """Give rl_games' player of a composed tree's checkpoint, and close its task at the end.
 
-    `player.env` is the task, `player.act(obs)` returns actions, as for `evaluation.evaluate`.
+    `player.env` is the task, and `player.act(obs)` returns actions for `evaluation.evaluate`.
 
     Raises:
-        UserError: the tree cannot be used, or the checkpoint is of another network or task.
+        UserError: the tree cannot be used, or the checkpoint belongs to another network or task.
     """
     launch = _read_launch(_checked(cfg))
     with _open_tasks(launch) as make_task:
@@ -299,13 +301,13 @@ def load_player(cfg: DictConfig) -> Iterator[Any]:
 
 @dataclass(frozen=True)
 class _Launch(CheckedConfig):
-    """A configuration with what it means for a run.
+    """A configuration with the seed, the names and the files of a run.
 
     Attributes:
-        seed: of the agent.
-        name: of the checkpoints, the last part of the run's name.
-        folder: of the run; only a training makes it.
-        checkpoint: path of the file that the run starts from, '' for none.
+        seed: the agent's seed.
+        name: the checkpoints' name, the last part of the run's name.
+        folder: the run folder; only a training makes it.
+        checkpoint: path of the file from which the run starts, '' for none.
     """
 
     seed: int
@@ -315,21 +317,19 @@ class _Launch(CheckedConfig):
 
     @property
     def task_name(self) -> str:
-        """Name of the task."""
         return str(self.tree["task"]["name"])
 
     @property
     def num_envs(self) -> int:
-        """Environments of the training or the play."""
         return int(self.tree["task"]["env"]["numEnvs"])
 
     @property
     def overrides(self) -> dict[str, Any]:
-        """What replaces the first parameters of the networks, as arguments of rl_games' Runner."""
+        """Arguments of rl_games' Runner that replace the initial parameters of the networks."""
         return {"checkpoint": self.checkpoint or None, "sigma": self.settings.sigma}
 
     def checkpoint_file(self, suffix: str = "") -> Path:
-        """Return the path of a checkpoint of the run; without a suffix of the best one."""
+        """Return the path of a checkpoint of the run; the best checkpoint has no suffix."""
         return self.folder.checkpoints / f"{self.name}{suffix}.pth"
 
 
@@ -366,7 +366,7 @@ def _read_launch(config: CheckedConfig) -> _Launch:
 
 @contextmanager
 def _joined_processes(config: CheckedConfig) -> Iterator[ProcessGroup]:
-    """Give the processes that train together: those that torchrun has started, or this one."""
+    """Give the group of the processes that torchrun has started, or a group of this process."""
     settings = config.settings
     if not settings.multi_gpu and started_by_torchrun():
         raise ConfigError(
@@ -387,15 +387,15 @@ def _joined_processes(config: CheckedConfig) -> Iterator[ProcessGroup]:
 def _read_launch_together(config: CheckedConfig, group: ProcessGroup, stack: ExitStack) -> _Launch:
     """Return the launch of this process.
 
-    The main process decides on the run folder, which it reserves until `stack` ends, the
-    checkpoint, the precision and the seed, to which each process adds its rank.
+    The main process chooses the run folder, the checkpoint, the precision and the seed, to which
+    each process adds its rank. It reserves the run folder until `stack` ends.
     """
     main: _Launch | None = None
     with group.together():
         if group.is_main:
             main = _read_launch(config)
             decided = first_mutation(config.tree, main.seed)
-            # config.yaml stores what a measurement decides: a resumed run computes as before.
+            # config.yaml stores the measured precision, so that a resumed run uses the same.
             if (precision := select(config.tree, _PRECISION)) == "auto":
                 device = config.settings.rl_device
                 decided[_PRECISION] = resolve_mixed_precision(precision, device)
@@ -422,7 +422,7 @@ def _read_launch_together(config: CheckedConfig, group: ProcessGroup, stack: Exi
 
 
 def _check_settings(launch: _Launch, task: VecTask, settings: Mapping[str, float]) -> None:
-    """Check changed settings, numbers by their key path, as a start would."""
+    """Check changed settings, which are given by their paths, like a new run would."""
     changed = replace(launch, **vars(launch.changed(settings)))
     with _quiet("isaacgymenvs_lite"), _open_tasks(changed) as make_task:
         make_task(1)
@@ -431,10 +431,9 @@ def _check_settings(launch: _Launch, task: VecTask, settings: Mapping[str, float
 
 @contextmanager
 def _open_tasks(launch: _Launch) -> Iterator[Callable[[int], VecTask]]:
-    """Give a function that makes the tree's task, from a number of environments.
+    """Give a function that makes the tree's task with a given number of environments.
 
-    At the end, also after an error, all tasks that it made are closed, and torch gets back its
-    number of threads.
+    At the end all tasks are closed and torch's number of threads is restored, also after an error.
     """
     settings = launch.settings
     with ExitStack() as opened:
@@ -459,7 +458,7 @@ def _open_tasks(launch: _Launch) -> Iterator[Callable[[int], VecTask]]:
 
 
 def _read_params(launch: _Launch, task: VecTask) -> dict[str, Any]:
-    """Return the section `params` of the train file, checked and completed for a task."""
+    """Return the train file's section `params`, checked and completed for a task."""
     from isaacgymenvs_lite.registration import build_runner, known_names  # rl_games' Runner
 
     settings = launch.settings
@@ -475,11 +474,11 @@ def _read_params(launch: _Launch, task: VecTask) -> dict[str, Any]:
     )
     check_env_name(params)
     params["config"] |= {"train_dir": str(launch.folder.train_dir), "resume": settings.resume}
-    if launch.checkpoint:  # the path that `last` or a name means, for agents that look into it
+    if launch.checkpoint:  # agents read the path, which the user may have given as `last`
         params |= {"load_checkpoint": True, "load_path": launch.checkpoint}
     if settings.latent:
         params["config"].setdefault("player", {})["latent"] = settings.latent
-    # rl_games sets torch's threads by this key, to at most four by default.
+    # rl_games reads this key; its own default is at most four threads.
     params.setdefault("torch_threads", thread_count(settings.num_threads))
     return params
 
@@ -487,17 +486,14 @@ def _read_params(launch: _Launch, task: VecTask) -> dict[str, Any]:
 def _load_runner(
     params: dict[str, Any], task: VecTask, observer: AlgoObserver | None = None
 ) -> Any:
-    """Return rl_games' Runner that has loaded a train file, and whose agent or player gets a task.
-
-    An agent needs an observer, a player has none.
-    """
+    """Return rl_games' Runner for a train file and a task; only a training has an observer."""
     from isaacgymenvs_lite.registration import build_runner
     from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
     vec_env = RLGPUEnv.from_task(task)
     runner = build_runner(observer)
     runner.load({"params": params})
-    # After `load`, which copies its argument. A player acts in the task itself.
+    # `load` has copied its argument. A player acts in the task itself, without the wrapper.
     runner.params["config"] |= {
         "vec_env": vec_env if observer is not None else task,
         "env_info": vec_env.get_env_info(),
@@ -506,10 +502,10 @@ def _load_runner(
 
 
 def _make_player(launch: _Launch, task: VecTask) -> Any:
-    """Return rl_games' player of the checkpoint, in a task."""
+    """Return rl_games' player of the checkpoint in a task."""
     if not launch.checkpoint:
         log.warning("test=True without checkpoint=: playing an untrained policy")
-    with _quiet("isaacgymenvs_lite.config"):  # notes about the training's minibatches
+    with _quiet("isaacgymenvs_lite.config"):  # only a training needs the notes about minibatches
         params = _read_params(launch, task)
     with _output_to_log():
         player = _load_runner(params, task).create_player()
@@ -524,9 +520,10 @@ def _make_player(launch: _Launch, task: VecTask) -> Any:
 def _measurement_observer(
     config: dict[str, Any], task: VecTask, make_task: Callable[[int], VecTask]
 ) -> MeasurementObserver | None:
-    """Return what measures the mean policy in a training; None if nothing does.
+    """Return the observer that measures the mean policy; None if it is not measured.
 
-    Without reference motions it also chooses the best checkpoint, by about 20 measurements at most.
+    For a task without reference motions it also chooses the best checkpoint and makes about 20
+    measurements at most.
     """
     has_motions = hasattr(task, "motion_lib")
     frequency = config.get("imitation_frequency", _DEFAULT_IMITATION_FREQUENCY)
@@ -536,7 +533,7 @@ def _measurement_observer(
         frequency = max(1, min(frequency, epochs // _MEASUREMENTS))
 
     def make_quietly(num_envs: int) -> VecTask:
-        # The training's own task has logged what its files contain.
+        # The training's own task has already logged the contents of its files.
         with _quiet("isaacgymenvs_lite"):
             return make_task(num_envs)
 
@@ -549,10 +546,10 @@ def _measurement_observer(
 
 
 def _stored_config(launch: _Launch) -> DictConfig:
-    """Return the tree as config.yaml stores it: with the drawn seed, and nothing to resume.
+    """Return the tree for config.yaml, with the drawn seed and without `resume`.
 
-    Values that a command line takes from elsewhere (`${oc.env:X}`) are written out: a file that
-    reads them could not be used again.
+    Values that the command line takes from elsewhere (`${oc.env:X}`) are replaced by their results,
+    because a file with such interpolations is refused.
     """
     cfg = launch.cfg.copy()
     for path, text in leaves(OmegaConf.to_container(cfg, resolve=False)):
@@ -564,7 +561,7 @@ def _stored_config(launch: _Launch) -> DictConfig:
 
 
 def _log_opening(launch: _Launch, has_clips: bool) -> None:
-    """Log what is trained on what, where its results are, and how to look at them."""
+    """Log the task, the algorithm, the clip, the run folder, and commands that show the curves."""
     tree, folder = launch.tree, launch.folder
     clip = tree["task"]["env"].get("motion_file")
     on = f" on {Path(str(clip)).name}" if clip and has_clips else ""
@@ -574,19 +571,19 @@ def _log_opening(launch: _Launch, has_clips: bool) -> None:
         *(launch.num_envs, folder.path),
     )
     log.info(
-        "its curves: tensorboard --logdir %s; a page: %s",
+        "its curves: tensorboard --logdir %s; a report as a web page: %s",
         *(folder.train_dir, package_command("report", str(folder.path))),
     )
 
 
 def _begin(folder: RunFolder) -> None:
-    """Note in the run folder that the training runs with these settings."""
+    """Write the settings of the training into the run folder."""
     folder.begin()
     mark_run(folder.path)
 
 
 def _save(agent: Any, launch: _Launch, suffix: str = "") -> None:
-    """Write a checkpoint of the agent, if there is one; without a suffix the run's best."""
+    """Write a checkpoint if there is an agent; without a suffix it is the run's best checkpoint."""
     if agent is None:
         return
     with _output_to_log():
@@ -603,12 +600,12 @@ def _report_end(
     was_stopped: bool,
     plays_best: bool,
 ) -> None:
-    """Log where the best or newest checkpoint is, and the commands that play it or go on."""
+    """Log the path of the best or newest checkpoint, and the commands that play or resume it."""
     best, newest = launch.checkpoint_file(), launch.folder.newest_checkpoint()
     if newest is None:
         return
     played = best if plays_best and best.exists() else newest
-    if launch.settings.resume:  # the words that started it are known to the user alone
+    if launch.settings.resume:  # only the user knows the command that started the run
         name = "last" if played == newest else played.absolute()
         play = f"add test=True checkpoint={name} to the command that started the run"
     else:
@@ -621,17 +618,17 @@ def _report_end(
 def _unsaved(folder: RunFolder) -> CheckpointError:
     """Return the error for a last checkpoint that could not be written anywhere."""
     newest = folder.newest_checkpoint()
-    what = f"the newest one is {newest}" if newest else "nothing of this training is saved"
+    saved = f"the newest checkpoint is {newest}" if newest else "this training has no checkpoint"
     return CheckpointError(
         f"the last checkpoint could not be written, neither to {folder.checkpoints} nor below the"
-        f" temporary folder: {what}; free some space, or choose another folder with"
+        f" temporary folder; {saved}; free some space, or choose another folder with"
         " +train.params.config.train_dir=FOLDER"
     )
 
 
 @contextmanager
 def _memory_errors_explained(config: CheckedConfig) -> Iterator[None]:
-    """Turn a lack of memory in Python, torch or MuJoCo into one line about the settings."""
+    """Turn a memory error of Python, torch or MuJoCo into one line about the settings."""
     try:
         yield
     except (MemoryError, RuntimeError, ValueError) as error:
@@ -662,7 +659,7 @@ def _quiet(logger_name: str) -> Iterator[None]:
 
 
 class _LogStream(io.TextIOBase):
-    """A text stream whose lines become debug records."""
+    """A text stream that logs its lines as debug records."""
 
     def write(self, text: str) -> int:
         for line in text.splitlines():
@@ -672,5 +669,5 @@ class _LogStream(io.TextIOBase):
 
 
 def _output_to_log() -> contextlib.redirect_stdout[_LogStream]:
-    """Send what rl_games prints to the log, as debug output."""
+    """Redirect the prints of rl_games to the log, as debug records."""
     return contextlib.redirect_stdout(_LogStream())

@@ -9,9 +9,9 @@ A component that has settings declares them once:
 
     plane = read_section(PlaneSettings, cfg.task.env.plane, where="task.env.plane")
 
-and gets values of the declared type, or a one-line `ConfigError` that names the key, the value and
-what was expected. Field types may be bool, int, float, str, Any, a mapping, another such dataclass,
-`tuple[T, ...]`, `list[T]`, and any of these or None.
+The values have the declared types. A wrong value raises a one-line `ConfigError` with the key, the
+value and what was expected. Field types may be bool, int, float, str, Any, a mapping, another
+settings dataclass, `tuple[T, ...]`, `list[T]`, and any of these or None.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ _log = logging.getLogger(__name__)
 T = TypeVar("T", bound="DataclassInstance")
 Field = dataclasses.Field[Any]
 
-# Two keys at least this alike (difflib's ratio), and of nearly the same length, are taken for one
-# key, misspelt. The length keeps `disc_weight_decay` apart from `weight_decay`.
+# A key is called misspelt if it is at least this similar to a known key (difflib's ratio) and of
+# nearly the same length. The length distinguishes `disc_weight_decay` from `weight_decay`.
 _MISSPELT_RATIO = 0.8
 _MISSPELT_LENGTH = 3
-# A required key is missing anyway, so a looser resemblance is still worth naming.
+# A hint about a missing key may name a less similar key.
 _SIMILAR_RATIO = 0.6
 
-_GIVEN = reprlib.Repr()  # shortens what a message shows of a file
+_GIVEN = reprlib.Repr()  # shortens values in messages
 _GIVEN.maxstring = _GIVEN.maxother = 120
 LOGGED_KEYS: set[str] = set()
-"""Unread keys that the log of this process has named: each is logged once."""
+"""Unread keys that this process has logged; each key is logged once."""
 
 
 def setting(
@@ -69,14 +69,14 @@ def setting(
 
     Args:
         default: value when the key is absent; without it the key is required.
-        key: name in the YAML file, if it is not the field's own name (`numEnvs` for `num_envs`).
-        minimum: smallest allowed number, of every entry if the field is a list.
+        key: name in the YAML file if it differs from the field's name (`numEnvs` for `num_envs`).
+        minimum: smallest allowed number; in a list it applies to every entry.
         maximum: largest allowed number.
-        above: the number must be larger than this.
+        above: exclusive lower limit.
         choices: the allowed values; text is compared exactly.
-        min_length: least number of entries of a list.
-        length: number of entries of a list, if only one is right.
-        blank: '' counts as None (the launcher's "not given").
+        min_length: smallest number of entries of a list.
+        length: exact number of entries of a list.
+        blank: whether '' counts as None (the launcher's "not given").
     """
     metadata = {
         "key": key,
@@ -103,22 +103,22 @@ def read_section(
 ) -> T:
     """Fill the settings dataclass `cls` from `mapping`.
 
-    Whole numbers become floats where floats are declared, text such as "2e-5" becomes a number
-    (plain YAML 1.1 reads it as text), numbers become text where names are declared, OmegaConf
-    containers become plain ones.
+    Values are converted to the declared types: an int to a float, the text "2e-5" (YAML 1.1 reads
+    it as text) to a number, a number to text, and OmegaConf containers to plain containers.
+    Unknown keys that resemble no known key are only logged, because published files have keys that
+    nothing reads.
 
     Args:
         cls: a dataclass whose fields are the keys; `setting` adds limits and choices.
-        mapping: plain or OmegaConf; None counts as empty.
+        mapping: a plain or an OmegaConf mapping; None counts as empty.
         where: path of the section, for messages: "task.env"; "" for the root.
-        ignored: keys that other code reads, or that nothing reads on purpose; None: other code
-            reads all other keys.
-        complete: the section has all its keys, so that any similar key is misspelt.
+        ignored: keys that other code reads, or that nothing reads on purpose. None means that other
+            code reads all other keys.
+        complete: whether the section has all its keys, so that any similar key is misspelt.
 
     Raises:
         ConfigError: a value has a wrong type or is out of range, a required key is missing, or an
-            unknown key looks like a misspelt one. Unknown keys that resemble nothing are named in
-            one log line instead, because published files carry keys that nothing reads.
+            unknown key looks misspelt.
     """
     values = as_mapping(mapping, where)
     by_key = {_key(field): field for field in dataclasses.fields(cls)}
@@ -156,10 +156,10 @@ def read_keys(cls: type[T], mapping: Mapping[Any, Any] | None, where: str) -> T:
 def convert_section(
     cls: type[T], section: Any, where: str, ignored: Iterable[str] | None = ()
 ) -> T:
-    """Check a plain section as `read_section`, and replace its values by the converted ones.
+    """Check a plain section like `read_section` and convert its values in place.
 
-    This is for sections that other packages read as they are. The fields of `cls` have their keys'
-    names.
+    This function is for sections that other packages read. The fields of `cls` are named like their
+    keys.
     """
     settings = read_section(cls, section, where, ignored)
     for key in keys_of(cls) & set(section or ()):
@@ -180,13 +180,13 @@ def check_unknown_keys(
     *,
     complete: bool = False,
 ) -> None:
-    """Refuse keys of `values` that look like misspelt ones; log the other unknown ones.
+    """Refuse keys of `values` that look misspelt, and log the other unknown keys.
 
-    A key similar to a known one that is also present counts as another key and is only logged,
-    unless `values` is `complete`.
+    Unless `values` is `complete`, a key does not look misspelt if the similar known key is also
+    present.
 
     Raises:
-        ConfigError: an unknown key looks like a misspelt one.
+        ConfigError: an unknown key looks misspelt.
     """
     expected = {*known, *ignored}
     unread: list[str] = []
@@ -210,10 +210,10 @@ def check_unknown_keys(
 def missing_key(
     key: str, values: Mapping[str, Any], known: Iterable[str], where: str, hint: str
 ) -> ConfigError:
-    """Return the error for an absent required key, with the unknown key that may be meant."""
+    """Return the error for a missing required key; it names an unknown key that is similar."""
     known = set(known)
     near = nearest(key, [str(other) for other in values if other not in known], _SIMILAR_RATIO)
-    instead = f" (is '{near}' meant for it?)" if near is not None else ""
+    instead = f" (is '{near}' misspelt?)" if near is not None else ""
     return ConfigError(f"the key '{_join(where, key)}' is missing{instead}; {hint}")
 
 
@@ -225,18 +225,18 @@ def nearest(given: str, choices: Iterable[str], ratio: float) -> str | None:
 
 
 def select(tree: Any, path: str) -> Any:
-    """Return what is at `path` in nested dictionaries, None if nothing is."""
+    """Return the value at `path` in nested dictionaries, None if there is none."""
     for key in path.split("."):
         tree = tree.get(key) if isinstance(tree, dict) else None
     return tree
 
 
 def leaves(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield path and value of everything in nested mappings that is no mapping, or an empty one.
+    """Yield the path and the value of each leaf in nested mappings; an empty mapping is a leaf.
 
     Args:
         tree: the mappings.
-        path: of `tree` itself, which the paths begin with.
+        path: path of `tree` itself, the beginning of all paths.
     """
     if isinstance(tree, Mapping) and (tree or not path):
         for key, value in tree.items():
@@ -261,10 +261,10 @@ def plain(value: Any) -> Any:
 
 
 def as_mapping(section: Any, where: str) -> dict[str, Any]:
-    """Return a section as a plain dictionary; None is an empty one.
+    """Return a section as a plain dictionary; None becomes an empty dictionary.
 
     Raises:
-        ConfigError: it is a list or a value.
+        ConfigError: the section is a list or a value.
     """
     values = plain(section)
     if not isinstance(values, Mapping | None):
@@ -292,8 +292,8 @@ def _convert(value: Any, kind: Any, field: Field, path: str) -> Any:
     """Return the plain `value` as the type `kind`, within the limits of `field`.
 
     Raises:
-        ValueError: it is not what was expected.
-        ConfigError: so is something inside it.
+        ValueError: the value has a wrong type or is out of range.
+        ConfigError: an entry of the value is wrong; the message names the entry's path.
     """
     limits = field.metadata
     optional, kind = _split_optional(kind)
@@ -339,7 +339,7 @@ def _convert_scalar(value: Any, kind: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise ValueError
     if kind is str:
-        return str(value)  # YAML takes a name such as 2026 for a number
+        return str(value)  # YAML reads the name 2026 as a number
     if kind is int and isinstance(value, int):
         return value
     if kind not in (int, float):
@@ -370,7 +370,7 @@ _LIMITS = {"minimum": "of at least", "above": "above", "maximum": "of at most"}
 
 
 def _expectation(kind: Any, field: Field) -> str:
-    """Describe in words what a field takes."""
+    """Describe the values that a field accepts."""
     optional, kind = _split_optional(kind)
     limits = field.metadata
     choices = limits.get("choices")

@@ -1,9 +1,9 @@
 """Trains or plays an agent: python train.py task=HumanoidAMP [key=value ...].
 
-With -m it runs several jobs, see `sweep`. A job returns the number that `runner.run` returns.
+With -m it runs several jobs, see `run.sweep`. A job returns the result of `runner.run`.
 
-A user's mistake costs about a second and ends in one line and exit code 2: the configuration is
-composed and checked before torch, MuJoCo and rl_games are imported.
+The configuration is composed and checked before torch, MuJoCo and rl_games are imported. A user's
+mistake therefore costs about a second; it ends in one line and exit code 2.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ log = logging.getLogger(__name__)
 EXIT_FAILED_JOBS = 1
 _NO_COMPILER = "TORCHDYNAMO_DISABLE"
 
-# How long another process of a data-parallel training has to report its mistake.
+# Time for another process of a data-parallel training to report its mistake.
 _REPORT_S = 10.0
-# Hydra's options, and whether a value follows.
+# Maps each option of Hydra to whether a value follows it.
 _OPTIONS = {
     **dict.fromkeys(("--help", "-h", "--hydra-help", "--version", "--resolve"), False),
     **dict.fromkeys(("--run", "-r", "--multirun", "-m"), False),
@@ -67,11 +67,10 @@ _OPTIONS = {
 
 
 def main() -> None:
-    """Run the command line in `sys.argv`; exits with 2 after a user's mistake.
+    """Run the command line in `sys.argv`.
 
-    A sweep exits with 1 if a job has failed.
-
-    A second Ctrl-C or SIGTERM ends with 130 or 143, as shells expect.
+    The exit code is 2 after a user's mistake, 1 if a job of a sweep has failed, and 130 or 143
+    after a second Ctrl-C or SIGTERM, as shells expect.
     """
     configure_logging()
     try:
@@ -138,15 +137,15 @@ def _run_hydra(words: Sequence[str], command: TypedCommand) -> None:
             if launcher is None or isinstance(error, ComposeError):
                 raise
             raise JobError(
-                f"{launcher} has failed: {type(error).__name__}: {one_line(error)}; of this batch"
-                " of jobs only their run folders are left"
+                f"{launcher} has failed: {type(error).__name__}: {one_line(error)}; only the run"
+                " folders of this batch of jobs are left"
             ) from error
     if Summary.num_failed:
         sys.exit(EXIT_FAILED_JOBS)
 
 
 def split_options(words: Sequence[str]) -> tuple[dict[str, str | None], list[str]]:
-    """Return Hydra's options with their values, and the overrides, which Hydra reads after them."""
+    """Return Hydra's options with their values, and the overrides."""
     options, overrides = dict[str, str | None](), list[str]()
     rest = iter(words)
     for word in rest:
@@ -155,7 +154,7 @@ def split_options(words: Sequence[str]) -> tuple[dict[str, str | None], list[str
             overrides.append(word)
         elif name == "--experimental-rerun":
             raise ConfigError(
-                "--experimental-rerun reads a pickle, which can run code; give the words of the"
+                "--experimental-rerun reads a pickle, which can run code; type the settings of the"
                 " command line once more (config.yaml in the run folder has them)"
             )
         elif name not in _OPTIONS:
@@ -171,9 +170,9 @@ def split_options(words: Sequence[str]) -> tuple[dict[str, str | None], list[str
 
 
 def _run_job(cfg: DictConfig, command: TypedCommand) -> float | None:
-    """Check the composed tree, then train or play; return the number of the run.
+    """Check the composed tree, then train or play; return the result of the run.
 
-    A user's mistake exits here, because Hydra would print another line before raising it.
+    A user's mistake exits here, because Hydra would print a line of its own before it raises.
     """
     try:
         return _run(cfg, command)
@@ -184,7 +183,7 @@ def _run_job(cfg: DictConfig, command: TypedCommand) -> float | None:
 
 
 def _run_job_of_sweep(cfg: DictConfig, command: TypedCommand, parent: int) -> float | None:
-    """Do the same as one of several jobs, in the sweep's own process, `parent`, or another one."""
+    """Run one job of a sweep, in the sweep's process (id `parent`) or in a process of its own."""
     hydra_job = HydraConfig.get()
     words = words_of_job(command.words, hydra_job.overrides.task)
     job = dataclasses.replace(command, words=tuple(words), is_job=True)
@@ -196,7 +195,7 @@ def _run_job_of_sweep(cfg: DictConfig, command: TypedCommand, parent: int) -> fl
 def _run(cfg: DictConfig, command: TypedCommand, **of_sweep: Any) -> float | None:
     config = read_config(cfg)
     if _NO_COMPILER not in os.environ:
-        # rl_games compiles a network of its own tests where it is imported, for two seconds.
+        # rl_games compiles a test network when it is imported, which takes two seconds.
         os.environ[_NO_COMPILER] = "1"
         importlib.import_module("isaacgymenvs_lite.registration")
         del os.environ[_NO_COMPILER]
@@ -212,7 +211,8 @@ def _fail(error: UserError) -> NoReturn:
         error = first_of_all(error)
     if isinstance(error, PeerMistakeError):
         log.info("%s", error)
-        time.sleep(_REPORT_S)  # once this process ends, torchrun ends the one that reports it
+        # As soon as this process ends, torchrun ends the process that reports the mistake.
+        time.sleep(_REPORT_S)
     else:
         print(f"error: {error}", file=sys.stderr)
     sys.exit(EXIT_USER_ERROR)
@@ -223,13 +223,13 @@ def _fail(error: UserError) -> NoReturn:
 
 def configure_logging(prefix: str = "") -> None:
     """Send the log to stderr, messages only, without breaking a progress bar."""
-    # Of several processes one logs; the others report what only they can.
+    # Rank 0 logs; the other ranks report only their errors.
     level = logging.INFO if os.environ.get("RANK", "0") == "0" else logging.ERROR
     logging.basicConfig(level=level, handlers=[message_handler(prefix)], force=True)
 
 
 def message_handler(prefix: str = "") -> logging.Handler:
-    """Return what writes a log as this command line does; each message begins with `prefix`."""
+    """Return the log handler of this command line; each message begins with `prefix`."""
     handler = _ProgressBarHandler()
     handler.setFormatter(_MessageFormatter(f"{prefix}%(message)s"))
     return handler
@@ -239,13 +239,13 @@ class _ProgressBarHandler(logging.Handler):
     """Writes above a running progress bar instead of through it."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        # A terminal that was closed takes nothing more; the training goes on to its checkpoint.
+        # The training goes on to its checkpoint even if the terminal was closed.
         with contextlib.suppress(OSError):
             tqdm.write(self.format(record), file=sys.stderr)
 
 
 class _MessageFormatter(EscapingFormatter):
-    """The message; from warnings upwards with the level before it."""
+    """Formats a record as its message, with the level in front of warnings and errors."""
 
     def format(self, record: logging.LogRecord) -> str:
         message = super().format(record)

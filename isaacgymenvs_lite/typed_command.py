@@ -1,4 +1,4 @@
-"""Builds the commands that play, resume or check a run, from the command that started it."""
+"""Builds the commands that play or resume a run from the command that started it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from pathlib import Path
 
 PACKAGE = "isaacgymenvs_lite"
 CONSOLE_SCRIPT = "isaacgymenvs-lite"
-"""The program that an installed package brings along; its first word is a command."""
+"""The program that pip installs with the package; its first word is a command."""
 _TRAIN = f"{PACKAGE}.train"
 _NUM_PLAYED = 16
-# Root keys that a policy depends on, beside all keys of task and train.
+# Playing a policy needs these root keys and all keys of task and train.
 _KEPT_KEYS = ("rl_device", "task_checkout")
-# Hydra's options for the places of files; each has a value.
+# Hydra's options for folders and files; each has a value.
 _KEPT_OPTIONS = ("--config-dir", "-cd", "--config-path", "-cp", "--config-name", "-cn")
 
 
@@ -25,9 +25,9 @@ class TypedCommand:
     """A command line of train.py.
 
     Attributes:
-        program: the words before the settings, such as `python train.py`.
+        program: the words before the settings, for example `python train.py`.
         words: the settings as typed; empty if a program composed the configuration.
-        is_job: one of a sweep, whose run may not be the last one.
+        is_job: whether it is a job of a sweep, after which other jobs may have run.
     """
 
     program: tuple[str, ...] = ("python", "-m", _TRAIN)
@@ -40,15 +40,14 @@ class TypedCommand:
         return cls(_program(), tuple(sys.argv[1:]))
 
     def play(self, task: str, checkpoint: Path, *, is_newest: bool = True) -> str:
-        """Return the command that plays a checkpoint of the run, for a shell.
+        """Return the shell command that plays a checkpoint of the run.
 
-        `task` is for a command line without `task=`. The newest checkpoint is called `last`.
+        `task` is used if the words lack `task=`. The newest checkpoint is called `last`.
         """
         typed = {_key(word): word for word in self.words if _key(word) in ("task", "train")}
         files = [typed.get("task", f"task={task}")]
         if typed.get("train", "") not in ("", f"train={files[0].partition('=')[2]}PPO"):
             files.append(typed["train"])
-        # What changes the policy.
         settings = [
             word
             for word in self.words
@@ -60,7 +59,7 @@ class TypedCommand:
         return shlex.join([*self.program, *files, *kept, *settings, *played])
 
     def resume(self, run: Path, num_processes: int = 1) -> str:
-        """Return the command that goes on with a run, in several processes that train together."""
+        """Return the shell command that resumes a run, with torchrun for several processes."""
         words = [*self.program, f"resume={run}"]
         if num_processes > 1:
             start = ["torchrun", "--standalone", f"--nproc-per-node={num_processes}"]
@@ -75,7 +74,7 @@ def _key(word: str) -> str:
 
 
 def package_command(*words: str) -> str:
-    """Return a command of this package, such as `check FILE`, for any shell."""
+    """Return the shell command for a command of this package, for example `check FILE`."""
     is_found = _finds_own(CONSOLE_SCRIPT)
     program = [CONSOLE_SCRIPT] if is_found else [_python(), "-m", PACKAGE]
     return shlex.join([*program, *words])
@@ -94,7 +93,7 @@ def words_of_job(typed: Sequence[str], job: Sequence[str]) -> list[str]:
 
 
 def _kept_options(words: Sequence[str]) -> list[str]:
-    """Return the options for the places of files, each with its value."""
+    """Return the options for folders and files, each with its value."""
     kept, rest = list[str](), iter(words)
     for word in rest:
         option, _, value = word.partition("=")
@@ -105,7 +104,7 @@ def _kept_options(words: Sequence[str]) -> list[str]:
 
 def _program() -> tuple[str, ...]:
     """Return the command that started this process, without its settings."""
-    # A command of the package is a module that has taken the program's place.
+    # sys.argv[0] is the module of a package's command; orig_argv has the words that were typed.
     before = sys.orig_argv[: max(0, len(sys.orig_argv) - len(sys.argv[1:]))]
     *_, first, second, third = ["", "", "", *before]
     if (first, second) == ("-m", PACKAGE):
@@ -123,19 +122,19 @@ def _program() -> tuple[str, ...]:
 
 
 def _shortest(script: str) -> str:
-    """Return a program's name if a shell finds it by that, else its path."""
+    """Return a program's name if a shell finds the program by its name, else its path."""
     found = shutil.which(Path(script).name)
     return Path(script).name if found is not None and Path(found) == Path(script) else script
 
 
 def _finds_own(program: str) -> bool:
-    """Return whether a shell finds the program of this environment by its name."""
+    """Return whether a shell finds this environment's program by its name."""
     found = shutil.which(program)
     return found is not None and Path(found).parent == Path(sys.executable).parent
 
 
 def _python() -> str:
-    """Return a name of this interpreter for a shell whose virtual environment may not be active."""
+    """Return `python` if a shell finds this interpreter by that name, else the shortest path."""
     if _finds_own("python"):
         return "python"
     own = Path(sys.executable)

@@ -85,7 +85,6 @@ EXTRAS = {
     **{"sb3": "sb3", "skrl": "skrl", "rsl_rl": "rsl-rl"},
     **{"demo": "video", "benchmarks.film": "video", "capture_video=True": "video"},
     **{"export": "export", "play_onnx.py": "export"},
-    **{"report": "report", "plot": "report", "strip": "report", "benchmarks.curves": "docs"},
     **{"hydra/sweeper=optuna": "sweep", "hydra/launcher=": "sweep", "+study=": "sweep"},
     **{"tools.clip_synthesis": "retarget", "wandb_activate=True": "wandb"},
 }

@@ -22,17 +22,17 @@ from isaacgymenvs_lite.paths import PARTS, cfg_dir
 from isaacgymenvs_lite.schema import leaves, nearest
 
 ANY_TRAIN_FILE = "CartpolePPO"
-"""The train file of trees of which only the task is read."""
-# IsaacGymEnvs chose 1.1, which warns at every start. The two differ in what cfg/config.yaml states
-# anyway: stay in the working directory, `_self_` in the defaults list.
+"""The train file of a tree whose train section nobody reads."""
+# IsaacGymEnvs has 1.1, which warns at every start. cfg/config.yaml sets both values in which the
+# versions differ: the working directory, and `_self_` in the defaults list.
 HYDRA_VERSION_BASE = "1.3"
 
-# What composing a configuration raises for a user's mistake. Hydra raises ValueError for an
-# override of a wrong kind, such as a number for a task.
+# Composing raises these errors for a user's mistake. Hydra raises ValueError for an override of a
+# wrong type, for example a number for a task.
 ComposeError = (HydraException, OmegaConfBaseException, ValueError, RecursionError)
 
 _ALIKE = 0.75
-# Begin of a task's name -> what the task is.
+# Maps the beginning of a published task's name to a description.
 _PUBLISHED_TASKS = {
     "AllegroHand": "a hand that turns an object",
     "AllegroKuka": "a Kuka arm with an Allegro hand",
@@ -54,13 +54,13 @@ def compose(
 ) -> DictConfig:
     """Compose the configuration tree as `python train.py <overrides>` does.
 
-    This may be called inside a running Hydra job, whose task and train file have no influence.
+    A running Hydra job may call this function; the job's own task and train file have no influence.
 
     Args:
-        overrides: as on the command line, for example `["task=HumanoidAMP", "num_envs=64"]`;
-            `train=` and `task=` may name files by their paths.
-        config_dir: a folder with more task/ and train/ files, as `--config-dir`.
-        trains: False if nothing is written where the files say.
+        overrides: settings, for example `["task=HumanoidAMP", "num_envs=64"]`; `train=` and
+            `task=` may name files by their paths.
+        config_dir: a folder with more task/ and train/ files, like `--config-dir`.
+        trains: whether a training may write into the folder that the files name.
 
     Returns:
         The tree with the keys of cfg/config.yaml, interpolations unresolved, in struct mode.
@@ -78,10 +78,10 @@ def compose(
 def compose_task(
     task: str, overrides: Sequence[str] = (), config_dir: Path | str | None = None
 ) -> DictConfig:
-    """Compose the tree of a task that a program or another library makes; see `compose`.
+    """Compose the tree of a task for a program or another library; see `compose`.
 
-    Not every task has a train file. The tree gets PPO's, which nothing reads. `task=` and `train=`
-    among the overrides count instead.
+    The tree gets some train file, because a task may have none; nobody reads it. `task=` and
+    `train=` among the overrides take precedence.
     """
     words = [
         f"{group}={name}"
@@ -92,7 +92,7 @@ def compose_task(
 
 
 def changed_by(tree: DictConfig, overrides: Sequence[str]) -> DictConfig:
-    """Return a stored tree, such as the config.yaml of a run, changed as by a command line.
+    """Return a stored tree, for example a run's config.yaml, changed by overrides.
 
     Raises:
         ConfigError: an override is wrong, or its key is not in the tree.
@@ -106,7 +106,7 @@ def changed_by(tree: DictConfig, overrides: Sequence[str]) -> DictConfig:
 
 
 def _compose_in(folder: Path, words: Sequence[str]) -> DictConfig:
-    """Let Hydra compose the files of a folder; keep what a running Hydra program needs."""
+    """Let Hydra compose the files of a folder; restore the state of a running Hydra program."""
     register_resolvers()
     running, base = GlobalHydra.instance(), VersionBase.instance().version_base
     program, running.hydra = running.hydra, None
@@ -123,7 +123,7 @@ def _compose_in(folder: Path, words: Sequence[str]) -> DictConfig:
 
 
 def explain(error: Exception, files: StagedFiles) -> ConfigError:
-    """Return the one-line error for what Hydra or OmegaConf raised while composing."""
+    """Return a one-line error for an error that Hydra or OmegaConf raised while composing."""
     words = files.words
     text = str(error)
     key = text.split("'")[1] if text.count("'") > 1 else ""
@@ -131,13 +131,13 @@ def explain(error: Exception, files: StagedFiles) -> ConfigError:
         return error
     if isinstance(error, RecursionError):
         return ConfigError(
-            "the defaults lists of the configuration files run in a circle; a file may name neither"
-            " itself nor a file of its own name in cfg/ (rename it)"
+            "the defaults lists of the configuration files run in a circle; remove the file's own"
+            " name from its list, or rename the file if cfg/ has a file of the same name"
         )
     if isinstance(error, OverrideParseException):
         return ConfigError(
-            f"cannot read '{error.override}'; write key=value, and put a value that holds"
-            " blanks or any of = , [ ] { } in quotes: 'key=\"value\"'"
+            f"cannot read '{error.override}'; write key=value, and put a value with blanks or any"
+            " of = , [ ] { } in quotes: 'key=\"value\"'"
         )
     if isinstance(error, MissingConfigException):
         refused = (error.missing_cfg_file or "").removeprefix(f"{REFUSED}/")
@@ -222,9 +222,9 @@ def _unknown_key(key: str, files: StagedFiles) -> ConfigError:
 
 
 def missing_task(name: str) -> str | None:
-    """Return a message about a published task that is not here; None for any other name.
+    """Return a message about a published task that this project lacks; None for any other name.
 
-    The name may be that of a train file, too: `ShadowHandPPOAsymmLSTM`.
+    The name may also be a train file's name, for example `ShadowHandPPOAsymmLSTM`.
     """
     family = next((known for known in _PUBLISHED_TASKS if name.startswith(known)), None)
     if family is None or (cfg_dir() / "task" / f"{name}.yaml").is_file():

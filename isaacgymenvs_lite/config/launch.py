@@ -31,12 +31,12 @@ from isaacgymenvs_lite.utils.optional_packages import require
 log = logging.getLogger(__name__)
 
 _GROUPS = ("task", "train", "pbt")
-# These sections are read before all of them are checked.
+# Other code reads these sections before the task or the agent checks their keys.
 _SECTIONS = (
     *("task.env", "task.sim", "task.task", "train.params"),
     *(f"train.params.{name}" for name in ("algo", "model", "network", "config")),
 )
-# A tree must have these keys; the hints say where they come from.
+# Maps each required key to a hint about its source.
 _REQUIRED = {
     "task.name": "a task file starts with name:",
     "task.env": "a task file has the settings of the task below env:",
@@ -48,14 +48,14 @@ _SEED_OF_DETERMINISTIC_RUNS = 42
 _RANDOM_SEEDS = 10_000
 _MAX_SEED = 2**32 - 1  # numpy's
 MAX_THREADS = 1024
-"""More than any CPU has; each takes memory before it has work."""
+"""Upper limit of num_threads: every thread takes memory, and no CPU has as many cores."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LaunchSettings:
     """The checked root of the configuration tree; cfg/config.yaml explains the keys.
 
-    None replaces a '' that means "not given".
+    An optional value is None if the file has '', which means "not given".
     """
 
     task_name: str = setting()
@@ -102,7 +102,7 @@ class LaunchSettings:
     graphics_device_id: int = setting(0, minimum=-1)
 
     full_experiment_name: str | None = setting(None, blank=True)
-    """Exact name of the run folder; not in the file, added with +full_experiment_name=."""
+    """Exact name of the run folder. +full_experiment_name= adds the key to cfg/config.yaml's."""
     pbt_restart: bool = setting(False)
     """Set by population based training when it restarts a process."""
 
@@ -116,14 +116,20 @@ class _EnvSize:
 
 @dataclass(frozen=True)
 class CheckedConfig:
-    """A composed tree that has been checked: its root, resolved and as it was composed."""
+    """A composed tree that has been checked.
+
+    Attributes:
+        settings: the root's own keys.
+        tree: the tree with its interpolations resolved.
+        cfg: the tree as Hydra composed it.
+    """
 
     settings: LaunchSettings
     tree: dict[str, Any]
     cfg: DictConfig
 
     def changed(self, values: Mapping[str, Any]) -> CheckedConfig:
-        """Return the configuration with other values, by their paths; they are checked, too."""
+        """Return a checked configuration with other values, which are given by their paths."""
         cfg = self.cfg.copy()
         with open_dict(cfg):
             for path, value in values.items():
@@ -139,8 +145,8 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
 def read_config(cfg: DictConfig) -> CheckedConfig:
     """Check a composed tree before anything heavy is imported or made.
 
-    Checked are the root's keys, devices, names of runs, and that every interpolation of the tree
-    resolves. torch is imported only if a device may be a GPU, after everything that needs no torch.
+    The check covers the root's keys, the devices, the names of runs and the interpolations. It
+    imports torch only if a device may be a GPU, after everything else has been checked.
 
     Raises:
         ConfigError: a key is missing, unknown or has a wrong value, or needs a missing feature.
@@ -155,13 +161,13 @@ def read_config(cfg: DictConfig) -> CheckedConfig:
     for path in _SECTIONS:
         if not str(section := select(written, path)).startswith("${"):
             as_mapping(section, path)
-    # ${default_rl_device:} imports torch: it comes last.
+    # ${default_rl_device:} imports torch and is therefore resolved last.
     postponed = {"rl_device"} if OmegaConf.is_interpolation(cfg, "rl_device") else set()
     try:
         root = {str(key): cfg[key] for key in cfg if key not in (*_GROUPS, *postponed)}
         settings = read_section(LaunchSettings, root, where="", ignored=postponed, complete=True)
         _check_combinations(settings)
-        # The physics runs on the CPU whatever sim_device is; the task logs that.
+        # The physics always runs on the CPU; the task logs it if sim_device names a GPU.
         check_device_name(settings.sim_device, "sim_device")
         device = "" if postponed else check_device(settings.rl_device, "rl_device")
         tree: Any = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
@@ -181,8 +187,8 @@ def read_config(cfg: DictConfig) -> CheckedConfig:
 def resolve_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) -> int:
     """Return the seed of the process `rank`.
 
-    A `seed` of -1 means any: 42 + rank in a deterministic run, else one drawn from [0, 10000),
-    independently of the state of all generators. Any other seed is shifted by the rank.
+    The rank is added to a given seed. A `seed` of -1 means 42 + rank in a deterministic run;
+    otherwise the seed is drawn from [0, 10000) without using the state of any generator.
     """
     if seed != -1:
         return seed + rank
@@ -212,21 +218,25 @@ def _check_combinations(settings: LaunchSettings) -> None:
 # --- devices ------------------------------------------------------------------------------------
 
 _DEVICE = re.compile(r"cpu|cuda(?::(?P<index>\d+))?")
-# Settings for which the log has said so; None: a missing GPU is an error.
+# Settings whose fallback to the CPU has been logged; None if a missing GPU is an error.
 _fallback_keys: set[str] | None = None
 
 
 def allow_cpu_fallback(allowed: bool = True) -> None:
-    """Use the CPU, from now on and in this process, in place of a GPU that does not exist.
+    """Use the CPU in place of a missing GPU from now on, in this process.
 
-    This is for scripts that name a GPU and are not edited. The log has one line for each setting.
+    Scripts that name a GPU then run unedited. The log has one line for each setting.
     """
     global _fallback_keys
     _fallback_keys = (_fallback_keys or set()) if allowed else None
 
 
 def check_device_name(name: str, key: str) -> int | None:
-    """Return the index of the GPU that a setting's value means, None for the CPU; or refuse it."""
+    """Return the index of the GPU that a setting names, None for the CPU.
+
+    Raises:
+        DeviceError: the name is misspelt.
+    """
     match = _DEVICE.fullmatch(str(name))
     if match is None:
         raise DeviceError(f"{key}={name}: expected cpu, cuda or cuda:N, for example cuda:0")
@@ -234,10 +244,10 @@ def check_device_name(name: str, key: str) -> int | None:
 
 
 def check_device(name: str, key: str) -> str:
-    """Return the device that a setting's value means; the CPU after `allow_cpu_fallback`.
+    """Return the device that a setting names; the CPU for a missing GPU if that is allowed.
 
     Raises:
-        DeviceError: it is misspelt, or torch does not see such a GPU.
+        DeviceError: the name is misspelt, or torch does not see this GPU.
     """
     index = check_device_name(name, key)
     if index is None:

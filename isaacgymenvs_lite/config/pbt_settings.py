@@ -48,7 +48,7 @@ class PBTSettings:
 
 
 def read_pbt_settings(tree: Mapping[str, Any]) -> PBTSettings | None:
-    """Return the section `pbt` of a resolved tree; None if the training is of one policy alone."""
+    """Return the section `pbt` of a resolved tree; None if PBT is off."""
     settings = read_section(PBTSettings, tree.get("pbt"), "pbt", complete=True)
     if not settings.enabled:
         return None
@@ -57,12 +57,12 @@ def read_pbt_settings(tree: Mapping[str, Any]) -> PBTSettings | None:
     if settings.policy_idx >= settings.num_policies:
         raise ConfigError(
             f"pbt.policy_idx={settings.policy_idx}: expected a number from 0 to"
-            f" {settings.num_policies - 1}, a different one for each of the"
-            f" pbt.num_policies={settings.num_policies} processes"
+            f" {settings.num_policies - 1}; each of the pbt.num_policies={settings.num_policies}"
+            " processes needs its own"
         )
     if settings.num_policies == 1 and not settings.dbg_mode:
         raise ConfigError(
-            "pbt.num_policies=1: one policy has no other to compare with; expected at least 2, or"
+            "pbt.num_policies=1: a single policy cannot be compared; expected at least 2, or"
             " pbt.dbg_mode=True to try out mutations"
         )
     if settings.change_min > settings.change_max:
@@ -77,10 +77,10 @@ def read_pbt_settings(tree: Mapping[str, Any]) -> PBTSettings | None:
 
 
 def mutable_values(tree: Mapping[str, Any], settings: PBTSettings) -> dict[str, float]:
-    """Return the numbers that `pbt.mutation` names, by their paths.
+    """Return the settings that `pbt.mutation` names, by their paths.
 
-    Published files name settings that not every train file has, or that are null: these are left
-    out.
+    A setting that is null or missing is left out, because published files name settings that
+    not every train file has.
     """
     values: dict[str, float] = {}
     for path in settings.mutation:
@@ -108,7 +108,7 @@ def mutable_values(tree: Mapping[str, Any], settings: PBTSettings) -> dict[str, 
             values[path] = value if isinstance(value, int) else number
     if not values:
         raise ConfigError(
-            "pbt.mutation names no setting of this task and train file, so that policies could not"
-            " differ; expected for example train.params.config.gamma: mutate_discount"
+            "pbt.mutation names no setting of this task and train file, so all policies would be"
+            " equal; expected for example train.params.config.gamma: mutate_discount"
         )
     return values

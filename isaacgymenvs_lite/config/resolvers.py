@@ -4,8 +4,8 @@
 - `${contains:a,b}`: whether a is part of b, ignoring case
 - `${if:p,a,b}`: a if p is true in Python's sense, else b; the text "False" is true
 - `${resolve_default:d,x}`: d if x is '', else x
-- `${default_rl_device:}`: cuda:0 if torch sees a GPU, else cpu; this project's own
-- `${default_seed:}`: the train file's own seed, else 42; this project's own
+- `${default_rl_device:}`: cuda:0 if torch sees a GPU, else cpu (not in IsaacGymEnvs)
+- `${default_seed:}`: the train file's seed, else 42 (not in IsaacGymEnvs)
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 _DEFAULT_SEED = 42  # as IsaacGymEnvs
-# A $ and the interpolation that it begins: a path, or the name of a function.
+# Matches a $ with the path or the function's name that follows it.
 _INTERPOLATION = re.compile(r"\$(?:\{\s*([\w.\[\]-]*)\s*([:}]))?")
 
 
 def choose(predicate: Any, if_true: Any, if_false: Any) -> Any:
     """Return `if_true` for a true `predicate`: '' is false, any other text is true."""
     chosen = if_true if predicate else if_false
-    # OmegaConf.resolve (`--cfg job --resolve`) takes no plain list back.
+    # OmegaConf.resolve (`--cfg job --resolve`) refuses plain lists as results.
     return OmegaConf.create(chosen) if isinstance(chosen, list | dict) else chosen
 
 
@@ -35,7 +35,7 @@ def resolve_default(default: Any, given: Any) -> Any:
 
 def default_rl_device() -> str:
     """Return "cuda:0" if torch sees a GPU, else "cpu"."""
-    import torch  # here, because it takes a second that a misspelt key should not cost
+    import torch  # imported here, because a misspelt key should not cost this second
 
     return "cuda:0" if torch.cuda.is_available() else "cpu"
 
@@ -57,11 +57,11 @@ RESOLVERS: dict[str, Callable[..., Any]] = {
     "default_rl_device": default_rl_device,
     "default_seed": default_seed,
 }
-"""By name. None of them looks outside of the configuration: any file may use them."""
+"""The functions by name. They read the configuration alone, so that any file may use them."""
 
 
 def register_resolvers() -> None:
-    """Make the functions known to OmegaConf, also if another package has registered the names."""
+    """Register the functions with OmegaConf; they replace functions of the same names."""
     for name, function in RESOLVERS.items():
         OmegaConf.register_new_resolver(name, function, replace=True)
 
@@ -78,10 +78,10 @@ def register_for(script: str) -> None:
 
 
 def forbidden_resolver(text: str) -> str | None:
-    """Return what in a text leads out of the configuration; None if nothing does.
+    """Return the part of a text that leads out of the configuration, None if there is none.
 
-    Other resolvers than ours may run code or read the environment. A path that is put together of
-    interpolations, and a $ alone, could become such a call when the text is resolved.
+    A resolver of another package may run code or read the environment. A nested interpolation and
+    a single $ are refused as well, because resolving the text could turn them into such a call.
     """
     for found in _INTERPOLATION.finditer(text):
         path, end = found.groups()

@@ -1,7 +1,7 @@
 """The keys of a train file that rl_games 1.6.5 reads, with their types and limits.
 
-`train.params.config` has those of every run and those of PPO or of soft actor-critic;
-`train.params.network` says how the networks are built.
+`train.params.config` has the keys of every run and the keys of PPO or soft actor-critic.
+`train.params.network` describes the networks.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from isaacgymenvs_lite.schema import convert_section, missing_key, select, setti
 _log = logging.getLogger(__name__)
 
 ENV_NAME = "rlgpu"
-"""The name of the environment in train files: the task that is made for them."""
+"""The environment's name in train files."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings:
-    """How long a training is, what it stores and prints."""
+    """The length of a training, and what it stores and prints."""
 
     name: str = setting()
     """Experiment and checkpoint name."""
@@ -38,11 +38,11 @@ class RunSettings:
     save_best_after: int = setting(100, minimum=0)
     save_frequency: int = setting(0, minimum=0)
     keep_checkpoints: int = setting(0, minimum=0)
-    """Newest checkpoints of save_frequency that stay, beside the best; 0: all."""
+    """Number of save_frequency's checkpoints that are kept; 0 keeps all."""
     save_buffers: bool = setting(True)
-    """Store replay buffers for resume=, too."""
+    """Whether checkpoints include the replay buffers, for resume=."""
     imitation_frequency: int = setting(50, minimum=0)
-    """Epochs between measurements of the mean policy; 0: none."""
+    """Epochs between measurements of the mean policy; 0 for no measurements."""
     print_stats: bool = setting(True)
     games_to_track: int = setting(100, minimum=1)
     reward_shaper: Mapping[str, Any] = setting({})
@@ -54,7 +54,7 @@ class PPOSettings(RunSettings):
 
     use_diagnostics: bool = setting(False)
     mixed_precision: Any = setting(False, choices=(True, False, "auto"))
-    """bfloat16; auto measures whether it is faster on this CPU."""
+    """Whether to use bfloat16; auto measures whether it is faster on this CPU."""
     torch_compile: Any = setting(None)
     """True, False, a mode of torch.compile, or {mode, critic_mode}."""
 
@@ -84,15 +84,15 @@ class PPOSettings(RunSettings):
     normalize_value: bool = setting(False)
     normalize_advantage: bool = setting()
     normalize_rms_advantage: bool = setting(False, choices=(False,))
-    """rl_games 1.6.5 cannot make its statistics."""
+    """True fails in rl_games 1.6.5."""
     use_action_masks: bool = setting(False, choices=(False,))
-    """Of discrete actions only."""
+    """Only discrete actions have masks."""
     clip_actions: bool = setting(True)
 
     # Optimiser
     learning_rate: float = setting(above=0)
     lr_schedule: str | None = setting()
-    """adaptive or linear; any other word means constant."""
+    """adaptive or linear; any other text means constant."""
     schedule_type: str = setting("legacy", choices=("legacy", "standard", "standard_epoch"))
     kl_threshold: float | None = setting(None, above=0)
     """Required by the adaptive schedule."""
@@ -126,7 +126,7 @@ class CentralValueSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class RewardShaperSettings:
-    """The section reward_shaper: what a training makes of the task's rewards."""
+    """The section reward_shaper, which scales and limits the task's rewards."""
 
     scale_value: float = setting(1.0)
     shift_value: float = setting(0.0)
@@ -146,19 +146,19 @@ class PlayerSettings:
     n_game_life: int = setting(1, choices=(1,))
     """Lives in a game; the tasks have one."""
     record: str | None = setting(None)
-    """File that environment 0 is recorded to."""
+    """File for a recording of environment 0."""
     latent: str | None = setting(None)
 
 
-# Keys of published files that nothing reads; `check` names them.
+# Nothing reads these keys of published files; `check` names them.
 UNREAD_KEYS = frozenset(
     (
         *("defer_summaries_sec", "lr_threshold", "max_env_steps", "num_envs", "num_seed_steps"),
         *("summaries_interval_sec_max", "summaries_interval_sec_min", "use_others_experience"),
     )
 )
-# More keys: rl_games reads them in special set-ups, the launcher writes them, or they are former
-# names and are translated before the check.
+# rl_games reads some of these keys in special set-ups, and the launcher writes some. The others are
+# former names, which are translated before the check.
 OTHER_KEYS = UNREAD_KEYS | frozenset(
     (
         *("actor_betas", "adv_rms_momentum", "alphas_betas", "bound_loss_type", "bptt_length"),
@@ -184,11 +184,11 @@ class SACSettings(RunSettings):
     num_steps_per_episode: int = setting(1, minimum=1)
     """Steps of each environment in an epoch."""
     num_updates_per_step: int = setting(1, minimum=1)
-    """Gradient steps after each of them."""
+    """Gradient steps after each step."""
     num_warmup_steps: int = setting(1000, minimum=0)
     """Epochs of random actions."""
     num_warmup_frames: int | None = setting(None, minimum=0)
-    """Frames of random actions, in place of num_warmup_steps."""
+    """Frames of random actions; it replaces num_warmup_steps."""
     replay_buffer_size: int = setting(minimum=1)
     batch_size: int = setting(minimum=1)
 
@@ -196,14 +196,14 @@ class SACSettings(RunSettings):
     gamma: float = setting(0.99, minimum=0, maximum=1)
     """Discount of one step."""
     critic_tau: float = setting(0.005, above=0, maximum=1)
-    """Share of the critic that its target takes over in a gradient step."""
+    """Weight of the critic in the update of its target network."""
     init_alpha: float = setting(above=0)
-    """Weight of the entropy at the start."""
+    """Initial weight of the entropy."""
     learnable_temperature: bool = setting()
     target_entropy_coef: float = setting(1.0)
-    """Wanted entropy, in minus the number of actions."""
+    """The target entropy is minus this factor times the number of actions."""
     value_bootstrap: bool = setting(True)
-    """An episode cut by its length is worth what would have come."""
+    """Whether the target bootstraps at the end of an episode that reached its time limit."""
     normalize_input: bool = setting(False)
 
     # Optimisers
@@ -215,14 +215,14 @@ class SACSettings(RunSettings):
     critic_grad_clip: float = setting(5.0, minimum=0)
     """0 for none."""
     mixed_precision: Any = setting(False, choices=(True, False, "auto"))
-    """bfloat16, on a CPU in the hidden layers; auto measures whether it is faster there."""
+    """Whether to use bfloat16, on a CPU only in the hidden layers; auto measures what is faster."""
 
 
-# The names in the factories of rl_games' network builder.
+# rl_games' network builder registers these names.
 ACTIVATIONS = ("relu", "tanh", "sigmoid", "elu", "selu", "swish", "gelu", "softplus", "None")
 
 
-# Initialiser -> its arguments; None: `default` has some in published files, and reads none.
+# Maps each initialiser to its arguments. `default` has arguments in published files but reads none.
 INITIALIZERS: dict[str, tuple[str, ...] | None] = {
     "default": None,
     "const_initializer": ("val",),
@@ -238,7 +238,7 @@ INITIALIZERS: dict[str, tuple[str, ...] | None] = {
 _VECTOR_INITIALIZERS = ("default", "const_initializer", "random_uniform_initializer")
 
 
-# Networks made of an `mlp` section; forks' own networks may have any keys.
+# These networks have a section `mlp`; a fork's own networks may have any keys.
 _MLP_NETWORKS = frozenset(("actor_critic", "amp", "gen_amp", "ase", "hrl"))
 _SAC_NETWORK = "soft_actor_critic"
 _LATENT_NETWORKS = ("gen_amp", "ase")
@@ -251,11 +251,11 @@ _OTHER_NETWORK_KEYS = (
 
 @dataclass(frozen=True, kw_only=True)
 class UnitsSettings:
-    """The keys of hidden layers that say how large they are."""
+    """The sizes of hidden layers."""
 
     units: list[int] = setting(minimum=1, maximum=_MAX_UNITS)
     model_size_multiplier: float = setting(1, above=0, maximum=1000)
-    """Factor on all units, applied before the network is built."""
+    """Factor on all units."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,14 +268,14 @@ class LayerSettings(UnitsSettings):
     d2rl: bool = setting(False)
     norm_only_first_layer: bool = setting(False)
     separate: bool = setting(False)
-    """Encoder: False shares the discriminator's layers."""
+    """Whether the encoder has layers of its own instead of the discriminator's."""
     conditional: bool = setting(False)
-    """Discriminator: the latent is an input, too."""
+    """Whether the latent is an input of the discriminator, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StyleSettings:
-    """The section style: layers from the latent to what the actor gets of it."""
+    """The section style: layers between the latent and the actor."""
 
     units: list[int] = setting(minimum=1, maximum=_MAX_UNITS)
 
@@ -295,14 +295,14 @@ class RecurrentSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkSettings:
-    """The keys of the network section itself."""
+    """The network section's own keys."""
 
     separate: bool = setting(False)
-    """Actor and critic share no layers."""
+    """Whether actor and critic have separate layers."""
     normalization: str | None = setting(None, choices=("layer_norm", "batch_norm", "None"))
     value_activation: str = setting("None", choices=ACTIVATIONS)
     latent_scale: float = setting(1.0, above=0)
-    """Length of the latents that the network gets."""
+    """Norm of the latents that the network receives."""
     log_std_bounds: list[float] | None = setting(None, length=2)
     space: Mapping[str, Any] | None = setting(None)
 
@@ -329,10 +329,8 @@ _SECTIONS: dict[str, type[Any]] = {
 def check_network(network: dict[str, Any], where: str, *, is_critic: bool = False) -> None:
     """Check names, units and keys of a network section at a path; convert numbers in place.
 
-    A critic alone has no actions.
-
     Raises:
-        ConfigError: a key is missing or misspelt, or a value is none of the choices.
+        ConfigError: a key is missing or misspelt, or a value is not among the choices.
     """
     name = network["name"]
     is_ours = name in _MLP_NETWORKS
@@ -362,7 +360,7 @@ def check_network(network: dict[str, Any], where: str, *, is_critic: bool = Fals
     if is_ours and "continuous" not in space and not is_critic:
         hint = "expected the distribution of the actions"
         raise missing_key("continuous", space, (), f"{where}.space", hint)
-    # Soft actor-critic's distribution has no settings: its files leave the section empty.
+    # Soft actor-critic's distribution has no settings, so its files leave the section empty.
     if "continuous" in space and name != _SAC_NETWORK:
         path = f"{where}.space.continuous"
         gaussian = convert_section(GaussianSettings, network["space"]["continuous"], path, None)
@@ -378,7 +376,7 @@ def scale_units(network: dict[str, Any]) -> None:
     factor = mlp.get("model_size_multiplier", 1) if isinstance(mlp, dict) else 1
     if isinstance(mlp, dict) and factor != 1:
         mlp["units"] = [max(1, int(units * factor)) for units in mlp["units"]]
-        mlp["model_size_multiplier"] = 1  # once is enough, should the section be read again
+        mlp["model_size_multiplier"] = 1  # a second call changes nothing
 
 
 def check_central_value(section: dict[str, Any], where: str) -> None:
@@ -386,9 +384,9 @@ def check_central_value(section: dict[str, Any], where: str) -> None:
     network = convert_section(CentralValueSettings, section, where, None).network
     if "name" not in network:
         raise missing_key("name", network, (), f"{where}.network", "expected actor_critic")
-    # rl_games needs the key, without which its network returns an actor's output.
+    # Without the key rl_games' network would return an actor's output.
     if section["network"].setdefault("central_value", True) is not True:
-        raise ConfigError(f"{where}.network.central_value: expected True, or no such key")
+        raise ConfigError(f"{where}.network.central_value: expected True; remove the key")
     check_network(network, f"{where}.network", is_critic=True)
 
 

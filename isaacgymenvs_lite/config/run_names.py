@@ -1,4 +1,4 @@
-"""Reads names of runs: they name the folder below `runs/` and the checkpoints in it."""
+"""Reads the name of a run, which names its folder below `runs/` and its checkpoints."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.schema import select
 
 TRAIN_DIR = "train.params.config.train_dir"
-"""Path of the setting that names the folder of all runs."""
+"""Path of the setting for the folder of all runs."""
 DEFAULT_TRAIN_DIR = "runs"
 _NAME_IN_FILE = "train.params.config.name"
 MAX_LEVELS = 5
-"""Folders in a name: `amp/walk1` has two."""
-# A file system takes 255 bytes; the folder gets a date, a checkpoint an epoch and a reward.
+"""Largest number of folders in a name; `amp/walk1` has two."""
+# File systems allow 255 bytes; a date, an epoch and a reward are added to the name.
 _MAX_BYTES = 160
 
 
@@ -35,14 +35,14 @@ def run_name_of(tree: dict[str, Any]) -> PurePosixPath:
 
 
 def read_run_name(given: Any, key: str) -> PurePosixPath:
-    """Return a run's name as a path below the folder of the runs: its last part names checkpoints.
+    """Return a run's name as a path below the folder of all runs; its last part names checkpoints.
 
     Args:
-        given: as on the command line or in a train file: `walk1`, `amp/walk1`.
+        given: a name such as `walk1` or `amp/walk1`.
         key: the setting, for messages.
 
     Raises:
-        ConfigError: it leads out of the folder, or cannot be the name of a folder.
+        ConfigError: the name leads out of the folder, or cannot be the name of a folder.
     """
     text = str(given)
     path = PurePosixPath(text.strip())

@@ -1,13 +1,13 @@
-"""Copies configuration files from outside cfg/, checked, into a folder where Hydra finds them.
+"""Checks configuration files from outside cfg/ and copies them into a folder that Hydra searches.
 
-Hydra reads files by their names in folders. A file that a command line names by its path
-(`train=/path/to/AntPPO.yaml`), and the files in a folder of `--config-dir` or `--config-path`, are
-copied to a temporary folder that Hydra searches first; cfg/ comes next.
+Hydra finds files by their names in folders. This module copies a file that a command line names by
+its path (`train=/path/to/AntPPO.yaml`), and the files of `--config-dir` or `--config-path`, to a
+temporary folder. Hydra searches this folder first and cfg/ next.
 
-Copying is also the boundary for files that somebody else wrote. Hydra's own section of a
-configuration is as powerful as a program: callbacks, launchers and log handlers are Python names
-that Hydra imports and calls. So a file that leads to that section, to an imported name or to the
-environment of this process is refused here. docs/foreign_files.md has the list for users.
+The module is also the boundary for files that somebody else wrote. Hydra's own section of a
+configuration can do what a program can: Hydra imports and calls the Python names of its callbacks,
+launchers and log handlers. A file is refused here if it sets this section, names something to be
+imported, or reads the environment of this process. docs/foreign_files.md has the list for users.
 """
 
 from __future__ import annotations
@@ -40,20 +40,20 @@ ROOT = "config"
 GROUPS = ("task", "train", "pbt")
 REFUSED = "refused"
 CHECKOUT_KEY = "task_checkout"
-"""Key of the configuration's root: the folder of the checkout, '' for none."""
+"""Root key for the folder of the task file's checkout; '' for none."""
 _NAMED_BY_PATH = ("task", "train")
 _SUFFIXES = (".yaml", ".yml")
 _WHERE_TO = "it belongs on the command line, or into cfg/ if you wrote the file yourself"
-# The section `hydra` of IsaacGymEnvs' root file. Our section has the same values, and more.
+# The section `hydra` of IsaacGymEnvs' root file; our section contains the same values.
 _HARMLESS = {"output_subdir": None, "run": {"dir": "."}, "job": {"chdir": False}}
 _LOGGING = ("override hydra/job_logging", "override hydra/hydra_logging")
 _PACKAGE = re.compile(r"(?:\s*#.*\n)*?\s*#\s*@package\s+(.*)")
-# Names of files and of folders below a group; a name may hold the choice of another group: ${task}.
+# A file's name with the folders below its group; it may contain another group's choice: ${task}.
 _ENTRY = re.compile(r"(?:[\w.+-]|\$\{\w+\})+(?:/(?:[\w.+-]|\$\{\w+\})+)*")
 
-# Entries in the top folder of a project that a package inside it does not have.
+# A project's top folder has at least one of these entries, a package inside it has none.
 _TOP_OF_A_PROJECT = (".git", "setup.py", "pyproject.toml", "assets")
-# ASE's task was an argument of its command line. End of a file's name -> our task.
+# ASE's command line named the task. This table maps the end of a file's name to our task.
 _TASKS_OF_ASE = {
     "heading": "HumanoidHeading",
     "location": "HumanoidLocation",
@@ -72,9 +72,9 @@ class StagedFiles:
 
     Attributes:
         words: the overrides.
-        folder: where Hydra begins to search.
-        refused: what is wrong with a file of a folder, by its name in Hydra; the copy of the file
-            names a file below `REFUSED`, which does not exist.
+        folder: the folder that Hydra searches first.
+        refused: the error of each refused file, by the file's name in Hydra. The copy of such a
+            file names a missing file below `REFUSED`, so that only its use is an error.
     """
 
     words: list[str]
@@ -94,17 +94,17 @@ def staged(
 
     Args:
         words: overrides; `task=` and `train=` may name files by their paths.
-        config_dir: a folder with more task/, train/ and pbt/ files, and with other root files.
-        root: a folder in place of cfg/, whose groups may lack files of cfg/.
-        trains: False if nothing is written where the files say.
+        config_dir: a folder with more task/, train/, pbt/ and root files.
+        root: a folder that replaces cfg/; files that it lacks come from cfg/.
+        trains: whether a training may write into the folder that the files name.
 
     Raises:
-        ConfigError: a file does not exist, or does what a file from outside may not do.
+        ConfigError: a file does not exist, or has content that is refused from outside.
     """
     if not (config_dir or root or any(_names_file(word) for word in words)):
         yield StagedFiles(list(words), cfg_dir())
         return
-    # The machines of a cluster share the working folder, not the temporary one.
+    # The machines of a cluster share the working folder, but not the temporary folder.
     shared = Path.cwd() if any("=submitit_slurm" in word for word in words) else None
     with tempfile.TemporaryDirectory(prefix=".staged_", dir=shared) as folder:
         target = Path(folder)
@@ -122,20 +122,23 @@ def staged(
                 if run_dir is not None and not is_below:
                     raise ConfigError(
                         f"{file.name}: {TRAIN_DIR} is {run_dir!r}, outside of the working folder;"
-                        f" if that is what you want, say so yourself: {TRAIN_DIR}={run_dir}"
+                        f" to write there, add {TRAIN_DIR}={run_dir} to the command line"
                     )
         yield StagedFiles(named, target, refused)
 
 
 def read_yaml(path: Path) -> DictConfig:
-    """Read one YAML file, alone. Of equal keys the last one counts, as in ASE's time."""
+    """Read one YAML file without its defaults list.
+
+    The last value counts if a key occurs twice, as in the PyYAML of ASE.
+    """
     content = _read(path)
     if is_foreign(path):
         _check_content(content, path)
     try:  # OmegaConf reads 2e-5 as a number, PyYAML as text
         config: Any = OmegaConf.create(yaml.safe_dump(content, sort_keys=False))
         return config if content else OmegaConf.create()
-    except Exception as error:  # the grammar of interpolations, kinds of keys
+    except Exception as error:  # a wrong interpolation, or a key of a wrong type
         raise ConfigError(f"{path} cannot be used: {one_line(error)}") from error
 
 
@@ -154,7 +157,7 @@ def _stage_folder(source: Path, target: Path) -> dict[str, ConfigError]:
             f"the configuration folder '{source}' does not exist; expected a folder that holds"
             " task/ and train/"
         )
-    ours = _our_root()  # its settings of Hydra take the place of the files' own
+    ours = _our_root()  # our section `hydra` replaces theirs
     logs = [entry for entry in ours["defaults"] if _is_about_logging(entry)]
     for file in source.glob("*.yaml"):
         content = _checked(file, group="")
@@ -166,7 +169,7 @@ def _stage_folder(source: Path, target: Path) -> dict[str, ConfigError]:
             name = file.relative_to(source)
             try:
                 content = _checked(file, name.parent.as_posix())
-            except ConfigError as error:  # raised only if the command line names the file
+            except ConfigError as error:  # `explain` raises it if the command line names the file
                 place = name.with_suffix("").as_posix()
                 refused[place] = error
                 content = {"defaults": [f"/{REFUSED}/{place}"]}
@@ -180,10 +183,10 @@ def _stage_named_files(words: Sequence[str], target: Path) -> list[str]:
     staged_words = []
 
     def stage(group: str, file: Path) -> None:
-        name = re.sub(r"[^\w-]", "_", file.stem)  # what Hydra's grammar takes for a name
+        name = re.sub(r"[^\w-]", "_", file.stem)  # a name in Hydra's grammar
         if file.parent != cfg_dir() / group:
             _stage_with_siblings(file, group, target / group / f"{name}.yaml", set())
-        staged_words.append(f"{group}='{name}'")  # 2024.yaml is no number
+        staged_words.append(f"{group}='{name}'")  # the quotes keep 2024.yaml from being a number
 
     for word in words:
         group, _, value = word.partition("=")
@@ -195,7 +198,7 @@ def _stage_named_files(words: Sequence[str], target: Path) -> list[str]:
         if group == "task":
             beside = _train_file_beside(file)
             if beside is not None and "train" not in typed:
-                log.info("train file: %s (beside the task file; train= takes another)", beside)
+                log.info("train file: %s (next to the task file; train= replaces it)", beside)
                 stage("train", beside)
             if CHECKOUT_KEY not in typed:
                 staged_words.append(f"++{CHECKOUT_KEY}={quoted(str(checkout_of(file)))}")
@@ -203,7 +206,7 @@ def _stage_named_files(words: Sequence[str], target: Path) -> list[str]:
 
 
 def _stage_with_siblings(file: Path, group: str, target: Path, done: set[Path]) -> None:
-    """Copy a file, and the files beside it and below it that its defaults list names."""
+    """Copy a file, and the files of its folder that its defaults list names."""
     done.add(file)
     content = _checked(file, group)
     _write(content, target)
@@ -214,7 +217,8 @@ def _stage_with_siblings(file: Path, group: str, target: Path, done: set[Path]) 
         else:
             siblings = [file.with_name(f"{entry}.yaml")]
         for sibling in siblings:
-            if os.path.isfile(sibling) and sibling not in done:  # a name may be too long
+            # Path.is_file would raise for a name that is too long.
+            if os.path.isfile(sibling) and sibling not in done:
                 name = sibling.relative_to(file.parent)
                 place = PurePath(group, name).parent.as_posix()
                 _stage_with_siblings(sibling, place, target.parent / name, done)
@@ -233,18 +237,18 @@ def _find(group: str, value: str) -> Path:
         if candidate.is_file():
             return candidate.resolve()
     raise ConfigError(
-        f"{group}={value}: no file {given.absolute()}; give a {group} file, or the name of one in"
-        f" cfg/{group}"
+        f"{group}={value}: no file {given.absolute()}; give the path of a {group} file, or a name"
+        f" in cfg/{group}"
     )
 
 
 def quoted(text: str) -> str:
-    """Return a text in quotes, as a command line has to write it if it holds blanks or commas."""
+    """Return a text in the quotes that Hydra's grammar needs around blanks and commas."""
     return QuotedString(text=text, quote=Quote.single).with_quotes()
 
 
 def _our_root() -> dict[Any, Any]:
-    """Return cfg/config.yaml for a folder before cfg/ in the search path."""
+    """Return cfg/config.yaml with cfg/ in its search path."""
     root = _read(cfg_dir() / f"{ROOT}.yaml")
     root["hydra"]["searchpath"] = [f"file://{cfg_dir()}"]
     return root
@@ -259,7 +263,7 @@ def _write(content: dict[Any, Any], file: Path) -> None:
 
 
 def _checked(file: Path, group: str) -> dict[Any, Any]:
-    """Return what a file holds that Hydra is to merge into a group; '' for a root file."""
+    """Return the checked content of a file of a group; the group of a root file is ''."""
     content = _read(file)
     header = _PACKAGE.match(file.read_text(encoding="utf-8-sig"))
     own = group.replace("/", ".")
@@ -267,8 +271,8 @@ def _checked(file: Path, group: str) -> dict[Any, Any]:
     allowed = ("_group_", own, f"_global_.{own}") if own else ("_group_", "_global_")
     if package not in allowed:
         raise ConfigError(
-            f"{file} has the header '# @package {package}', which puts it into another section;"
-            f" expected '{own}' or none"
+            f"{file} has the header '# @package {package}', which names another section; expected"
+            f" '{own}' or no header"
         )
     hydra = content.get("hydra", {})
     is_dict = isinstance(hydra, dict)
@@ -278,13 +282,13 @@ def _checked(file: Path, group: str) -> dict[Any, Any]:
     defaults = content.get("defaults") or []
     for entry in defaults if isinstance(defaults, list) else [defaults]:
         _check_entry(entry, file, is_root=not own)
-    # Published files leave these to the command line or to the code of their project.
+    # Published files leave these values to the command line or to the code of their project.
     config = select(content, "params.config")
     if isinstance(config, dict) and "llc_config" in config and "defaults" not in content:
         config.setdefault("llc_checkpoint", "")
     task = _task_of_ase_file(file) if group == "task" and "name" not in content else None
     if task is not None:
-        log.info("%s names no task, as ASE's files: taken for task=%s", file, task)
+        log.info("%s is a task file of ASE, which names no task: using task=%s", file, task)
         content.setdefault("defaults", [task, "_self_"])
         env = content.get("env")
         if isinstance(env, dict) and isinstance(env.get("numEnvs"), int):
@@ -293,7 +297,7 @@ def _checked(file: Path, group: str) -> dict[Any, Any]:
 
 
 def _read(path: Path) -> dict[Any, Any]:
-    """Return the mapping that a YAML file holds."""
+    """Return the mapping in a YAML file."""
     content = load_yaml(path)
     if content is None:
         return {}
@@ -316,7 +320,7 @@ def _check_content(content: dict[Any, Any], path: Path) -> None:
 def _check_values(value: Any, where: str) -> None:
     if isinstance(value, str) and (found := forbidden_resolver(value)):
         raise ConfigError(
-            f"{where}: '{value[:60]}' uses '{found}', which a file from outside may not use;"
+            f"{where}: '{value[:60]}' uses '{found}', which is refused in a file from outside;"
             " expected a path in the configuration, ${path.of.a.key}, or one of the functions"
             f" {', '.join(sorted(RESOLVERS))}; {_WHERE_TO}"
         )
@@ -324,8 +328,8 @@ def _check_values(value: Any, where: str) -> None:
         for key, entry in value.items():
             if key == "_target_":
                 raise ConfigError(
-                    f"{where} has a key '_target_', which names something to be called; a"
-                    " configuration file cannot name code here (docs/own_task.md)"
+                    f"{where} has a key '_target_', which names code to be called; register code"
+                    " in Python instead (docs/own_task.md)"
                 )
             _check_values(entry, f"{where}.{key}" if ": " in where else f"{where}: {key}")
     elif isinstance(value, list):
@@ -334,7 +338,7 @@ def _check_values(value: Any, where: str) -> None:
 
 
 def _check_entry(entry: Any, path: Path, is_root: bool) -> None:
-    """Check an entry of a defaults list: the name of a file in the same group or below it."""
+    """Check that an entry of a defaults list names a file in the same group or below it."""
     if is_root and _is_about_logging(entry):
         return
     names = [entry]
@@ -347,31 +351,31 @@ def _check_entry(entry: Any, path: Path, is_root: bool) -> None:
         if not fits or (is_root and name.split("/")[0] == "hydra"):
             raise ConfigError(
                 f"{path}: the entry '{str(entry).strip('{}')}' of its defaults list leads out of"
-                " its own group; expected the name of a file beside it"
+                " the file's group; expected the name of a file in the same folder"
             )
 
 
 def _is_about_logging(entry: Any) -> bool:
-    """Return whether an entry switches a log of Hydra off, as IsaacGymEnvs' root file does."""
+    """Return whether an entry switches off a log of Hydra, as in IsaacGymEnvs' root file."""
     key, value = next(iter(entry.items())) if isinstance(entry, dict) and entry else ("", "")
     return key in _LOGGING and value in ("none", "disabled")
 
 
 # --- the checkout of a task file that is named by its path ------------------------------------
 #
-# Task files of IsaacGymEnvs, of ASE and of their forks name clips, models and train files by their
-# paths in their own checkout:
+# Task files of IsaacGymEnvs, of ASE and of their forks name clips, models and train files by paths
+# in their checkout:
 #
 #     <checkout>/<package>/cfg/task/<task>.yaml       clips in assets/amp/motions (IsaacGymEnvs)
 #     <checkout>/<package>/cfg/train/<task>PPO.yaml
 #     <checkout>/cfg/task/<task>.yaml                 the same without a package (this project)
 #     <checkout>/<package>/data/cfg/<task>.yaml       clips in <package>/data/motions (ASE)
 #
-# For any other file it is the folder of the file.
+# The checkout of any other task file is the file's folder.
 
 
 def checkout_of(task_file: Path) -> Path:
-    """Return the folder of the checkout that a task file, an absolute path, belongs to."""
+    """Return the checkout of a task file, which is given by its absolute path."""
     folder = task_file.parent
     if _is_in_ase(task_file):
         return folder.parents[2]
@@ -386,22 +390,22 @@ def checkout_of(task_file: Path) -> Path:
 
 
 def _train_file_beside(task_file: Path) -> Path | None:
-    """Return the train file that goes with a task file by its name, `../train/<task>PPO.yaml`."""
+    """Return `../train/<task>PPO.yaml` of a task file, None if there is no such file."""
     beside = task_file.parent.with_name("train") / f"{task_file.stem}PPO.yaml"
     return beside if task_file.parent.name == "task" and beside.is_file() else None
 
 
 def _task_of_ase_file(task_file: Path) -> str | None:
-    """Return the task of this project that a task file of ASE without a name is for."""
+    """Return our task for a task file of ASE, None for any other file."""
     if not _is_in_ase(task_file):
         return None
     return next(task for end, task in _TASKS_OF_ASE.items() if task_file.stem.endswith(end))
 
 
 def clip_folders(checkout: Path, name: str) -> list[Path]:
-    """Return the folders of a checkout in which a clip or a data set of this name may be.
+    """Return the folders of a checkout that may contain a clip or dataset of this name.
 
-    A name that leads upwards (`../..`) is searched in the working folder alone.
+    There are none for a name that leads upwards (`../..`).
     """
     if ".." in Path(name).parts:
         return []
@@ -410,10 +414,10 @@ def clip_folders(checkout: Path, name: str) -> list[Path]:
 
 
 def model_folders(checkout: Path, root: str) -> list[Path]:
-    """Return the folders of a checkout in which a model may be.
+    """Return the folders of a checkout that may contain a model.
 
-    `assetRoot` of the task file, '' for none, is relative to the tasks in IsaacGymEnvs
-    (`../../assets`), to the checkout in ASE (`ase/data/assets`).
+    `root` is the `assetRoot` of the task file, '' for none. It is relative to the folder of the
+    tasks in IsaacGymEnvs (`../../assets`) and to the checkout in ASE (`ase/data/assets`).
     """
     parts = [part for part in Path(root).parts if part != ".."]
     named = [checkout.joinpath(*parts)] if parts and not Path(root).is_absolute() else []
@@ -427,5 +431,5 @@ def _is_in_ase(task_file: Path) -> bool:
 
 
 def _data_folders(checkout: Path) -> list[Path]:
-    """Return `<package>/data` of ASE and its forks."""
+    """Return the folders `<package>/data` of ASE or a fork."""
     return sorted(cfg.parent for cfg in checkout.glob("*/data/cfg") if cfg.is_dir())

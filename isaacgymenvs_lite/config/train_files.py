@@ -1,4 +1,4 @@
-"""Reads a train file without a task: for your own Runner or a low-level controller."""
+"""Reads a train file without a task, for a user's own Runner or a low-level controller."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from isaacgymenvs_lite.config.train_params import complete_ppo
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
 
-# Folders of train files in the paths that files of IsaacGymEnvs and ASE have.
+# IsaacGymEnvs and ASE name their train files by paths in these folders.
 _PUBLISHED_FOLDERS = (("isaacgymenvs", "cfg", "train"), ("ase", "data", "cfg", "train", "rlg"))
 
 
 def load_train_file(
     path: Path | str, num_envs: int | None = None, rl_device: str = "cpu"
 ) -> dict[str, Any]:
-    """Read a train file for rl_games' Runner: `Runner.load` takes the result as it is.
+    """Read a train file and return the argument of rl_games' `Runner.load`.
 
-    In addition to the interpolations (see `read_train_file`) it resolves what rl_games does not
-    know: `device`, `seed: -1`, which is drawn, and `mixed_precision: auto`, which is measured.
+    In addition to `read_train_file` the function sets the device, draws a seed for `seed: -1` and
+    measures which precision is faster for `mixed_precision: auto`.
 
     Args:
         path: see `read_train_file`.
-        num_envs: value of `task.env.numEnvs`, to which minibatches are fitted; None: 1, and
-            minibatches stay as written.
+        num_envs: value of `task.env.numEnvs`, to which minibatches are fitted. None means 1
+            environment and leaves the minibatches as they are written.
         rl_device: device of agent and player.
 
     Raises:
-        ConfigError: there is no such train file, or it cannot be used.
+        ConfigError: the file does not exist or cannot be used.
     """
     from isaacgymenvs_lite.utils.precision import resolve_mixed_precision  # torch
 
@@ -58,21 +58,21 @@ def load_train_file(
 
 
 def read_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu") -> dict[str, Any]:
-    """Read a train file with its `${....task.env.numEnvs}` and the like resolved.
+    """Read a train file and resolve its interpolations, for example `${....task.env.numEnvs}`.
 
-    The interpolations of a train file lead into a composed tree. Here it has the defaults of
-    cfg/config.yaml, a task without asymmetric observations, and the given values.
+    The interpolations refer to a tree with the defaults of cfg/config.yaml, a task without
+    asymmetric observations, and the given values.
 
     Args:
-        path: a file, relative to the working directory or to the project's, or the name of a file
-            in cfg/train, which `isaacgymenvs/cfg/train/<name>.yaml` (IsaacGymEnvs) and
-            `ase/data/cfg/train/rlg/<name>.yaml` (ASE) mean, too. The config.yaml of a run folder
-            holds the train file of that run, overrides included.
+        path: a path relative to the working directory or to this project, or the name of a file in
+            cfg/train. `isaacgymenvs/cfg/train/<name>.yaml` (IsaacGymEnvs) and
+            `ase/data/cfg/train/rlg/<name>.yaml` (ASE) also mean the file in cfg/train. The
+            config.yaml of a run folder contains the train file of this run with its overrides.
         num_envs: value of `task.env.numEnvs`.
         rl_device: value of `rl_device`.
 
     Raises:
-        ConfigError: there is no such train file.
+        ConfigError: the file does not exist or cannot be used.
     """
     file = _find(path)
     content = read_yaml(file)
@@ -91,12 +91,12 @@ def read_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
     except OmegaConfBaseException as error:
         raise explain_interpolation(error) from error
     if not isinstance(train, dict) or not isinstance(train.get("params"), dict):
-        raise ConfigError(f"{file} is no train file: expected a mapping below the key 'params'")
+        raise ConfigError(f"{file} is not a train file: expected a mapping below the key 'params'")
     return train
 
 
 def compose_file(file: Path, group: str) -> DictConfig:
-    """Return the tree of a task or train file alone, unresolved, with its defaults list merged."""
+    """Return the unresolved section of a task or train file, with its defaults list merged."""
     task, train = {"task": (file, "CartpolePPO"), "train": ("Cartpole", file)}[group]
     section: DictConfig = compose([f"task={task}", f"train={train}"], trains=False)[group]
     return section

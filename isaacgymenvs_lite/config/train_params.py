@@ -35,17 +35,17 @@ _log = logging.getLogger(__name__)
 
 _WHERE = "train.params"
 _CONFIG = f"{_WHERE}.config"
-# Section of Isaac Lab's train files: the limits that its wrapper keeps, and our keys of task.env.
+# Isaac Lab's train files have the wrapper's limits in this section; we have them in task.env.
 _ISAAC_LAB_SECTION = "env"
 _LIMITS = {"clip_observations": "clipObservations", "clip_actions": "clipActions"}
 ISAAC_LAB_ACTIONS = f"{_WHERE}.{_ISAAC_LAB_SECTION}.clip_actions"
-"""Path of the largest action; without the key it is 1."""
+"""Path of the limit of actions, which is 1 without this key."""
 _PARAMS_KEYS = (
     *("seed", "algo", "model", "network", "config", "load_checkpoint", "load_path"),
     *("torch_threads", _ISAAC_LAB_SECTION),
 )
-# Algorithm -> the registered models and networks that it runs with, the usual one first. Forks' own
-# names are not checked.
+# Maps each algorithm to the registered models and networks that it runs with, the usual name first.
+# Names that a fork has registered are not checked.
 _AMP = (("continuous_amp", "amp"), ("amp",))
 _HRL = (("hrl", "continuous_hrl"), ("hrl",))
 _GOES_WITH: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -58,7 +58,7 @@ _GOES_WITH: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "gen_amp": (("continuous_gen_amp", "gen_amp", "ase"), ("gen_amp", "ase")),
     "ase": (("ase", "continuous_gen_amp", "gen_amp"), ("ase", "gen_amp")),
     **dict.fromkeys(("hrl", "hrl_continuous"), _HRL),
-    # No algorithm runs here with these names of rl_games' own.
+    # No algorithm of this project runs with these models and networks of rl_games.
     "": (
         ("central_value", "continuous_a2c"),
         ("resnet_actor_critic", "rnd_curiosity", "testnet", "testnet_aux_loss"),
@@ -69,9 +69,9 @@ _MAX_SAMPLES = 2**31 - 1  # of an epoch
 
 @dataclass(frozen=True)
 class KnownNames:
-    """Names that are registered with rl_games, and keys that the agents read beyond PPO's.
+    """Names that are registered with rl_games, and the agents' keys in addition to PPO's.
 
-    An empty collection of names is not checked against.
+    An empty collection allows all names.
     """
 
     algos: Collection[str] = ()
@@ -91,20 +91,21 @@ def prepare_train_params(
     num_states: int | None = None,
     names: KnownNames | None = None,
 ) -> dict[str, Any]:
-    """Return the section `train.params`, complete and checked: `Runner.load`'s "params".
+    """Return the complete and checked section `train.params` for `Runner.load`.
 
-    Published files are completed (device, num_actors, reward_shaper, player), former names are
-    translated (seq_len, max_steps), and minibatches are fitted to the number of environments.
+    The function adds the keys that published files lack (device, num_actors, reward_shaper,
+    player), translates former names (seq_len, max_steps), and fits the minibatches to the number
+    of environments.
 
     Args:
-        cfg: the tree, resolved or as it was composed; it stays as it is.
-        num_envs: environments that the task really has.
+        cfg: the tree, resolved or as it was composed; it is not changed.
+        num_envs: environments of the task.
         seed: the resolved seed, see `resolve_seed`.
         run_name: exact name of the run folder; None lets rl_games add a time stamp to the name.
-        rl_device: device of the agent; None takes the tree's.
+        rl_device: device of the agent; None means the tree's.
         num_agents: agents in each environment.
-        num_states: size of the task's privileged observation; None if it is not known.
-        names: registered names to check against.
+        num_states: dimension of the task's privileged observation; None if it is unknown.
+        names: registered names; None allows all names.
 
     Raises:
         ConfigError: a key is missing, misspelt, or has a wrong value.
@@ -119,11 +120,11 @@ def prepare_train_params(
     if not isinstance(config, dict):
         raise missing_key("config", params, _PARAMS_KEYS, _WHERE, "expected the agent's settings")
     _check_sections(config, num_states)
-    # IsaacGymEnvs' files interpolate these two; ASE's have plain values.
+    # IsaacGymEnvs' files interpolate these two keys; ASE's files have plain values.
     for key, launch_key in (("max_epochs", "max_iterations"), ("name", "experiment")):
         if (given := tree.get(launch_key)) not in ("", None):
             config[key] = given
-    if "name" in config:  # the folder has all of it, checkpoints the last part
+    if "name" in config:  # the checkpoints are named after its last part
         config["name"] = read_run_name(config["name"], f"{_CONFIG}.name").name
     if config.get("multi_gpu") and not tree.get("multi_gpu"):
         raise ConfigError(
@@ -135,27 +136,27 @@ def prepare_train_params(
     has_population = bool(pbt.get("enabled", False))
     device = str(rl_device or tree["rl_device"])
     config |= {
-        "device": device,  # of agents
-        "device_name": device,  # of players
+        "device": device,  # agents read this key
+        "device_name": device,  # players read this key
         "num_actors": num_envs,
         "population_based_training": has_population,
         "pbt_idx": pbt.get("policy_idx", 0) if has_population else None,
         "full_experiment_name": run_name,
         "env_name": config.get("env_name", ENV_NAME),
-        # rl_games would start NCCL while it makes an agent: agents join the others themselves.
+        # The agents join the other ranks themselves; rl_games would start NCCL in the constructor.
         "multi_gpu": False,
     }
     if params["algo"]["name"] != "sac":
         complete_ppo(params, num_envs, num_agents, names.config_keys)
         return params
     if tree.get("multi_gpu"):
-        raise ConfigError("multi_gpu=True: SAC trains in one process; leave it out")
+        raise ConfigError("multi_gpu=True: SAC trains in one process; remove multi_gpu")
     convert_section(SACSettings, config, _CONFIG, OTHER_KEYS)
     return params
 
 
 def _check_names(params: dict[str, Any], names: KnownNames) -> None:
-    """Check the names of algorithm, model and network, and whether they go together."""
+    """Check the names of the algorithm, the model and the network, and their combination."""
     check_unknown_keys(params, _PARAMS_KEYS, _WHERE)
     sections = {"algo": names.algos, "model": names.models, "network": names.networks}
     for section, choices in sections.items():
@@ -174,7 +175,7 @@ def _check_names(params: dict[str, Any], names: KnownNames) -> None:
     space = params["network"].get("space") or {}
     if "discrete" in f"{algo} {params['model']['name']} {' '.join(map(str, space))}":
         raise ConfigError(
-            f"{_WHERE}: the tasks' actions are continuous, not discrete; expected algo"
+            f"{_WHERE}: got discrete actions, but the tasks' actions are continuous; expected algo"
             " a2c_continuous, model continuous_a2c_logstd and network.space.continuous"
         )
     for place, section in enumerate(("model", "network")):
@@ -182,8 +183,8 @@ def _check_names(params: dict[str, Any], names: KnownNames) -> None:
         ours = {other for family in _GOES_WITH.values() for other in family[place]}
         if algo in _GOES_WITH and name in ours.difference(fitting):
             raise ConfigError(
-                f"{_WHERE}.{section}.name={name}: algo {algo} does not run with it; choices:"
-                f" {', '.join(fitting)}"
+                f"{_WHERE}.{section}.name={name}: algo {algo} does not run with this {section};"
+                f" choices: {', '.join(fitting)}"
             )
 
 
@@ -192,15 +193,14 @@ def _check_sections(config: dict[str, Any], num_states: int | None) -> None:
     if critic := config.get("central_value_config"):
         if num_states == 0:
             raise ConfigError(
-                f"{_CONFIG}.central_value_config: a critic of its own needs privileged"
-                " observations (states), and this task gives none; add"
-                " task.env.asymmetric_observations=True if the task has that key, or remove the"
-                " section"
+                f"{_CONFIG}.central_value_config: a central critic needs privileged observations"
+                " (states), which this task lacks; add task.env.asymmetric_observations=True if"
+                " the task has this key, or remove the section"
             )
         check_central_value(critic, f"{_CONFIG}.central_value_config")
     shaper, where = config.get("reward_shaper") or {}, f"{_CONFIG}.reward_shaper"
     convert_section(RewardShaperSettings, shaper, where)
-    for key in shaper.keys() - keys_of(RewardShaperSettings):  # no argument of rl_games' function
+    for key in shaper.keys() - keys_of(RewardShaperSettings):  # rl_games would raise a TypeError
         raise ConfigError(f"{where}: {unknown('key', key, keys_of(RewardShaperSettings))}")
     player = config.get("player") or {}
     convert_section(PlayerSettings, player, f"{_CONFIG}.player", ("class_name",))
@@ -215,13 +215,13 @@ def complete_ppo(
     num_agents: int = 1,
     agent_keys: Iterable[str] | None = None,
 ) -> None:
-    """Translate, check and convert the keys of PPO, and fit its minibatches, in place.
+    """Translate and check the keys of PPO and fit its minibatches, in place.
 
     Args:
         params: the section `params` of a train file.
         num_envs: environments of the task.
         num_agents: agents in each environment.
-        agent_keys: keys that are read elsewhere; None: all other keys.
+        agent_keys: keys that the agents read in addition; None allows all other keys.
     """
     config = params["config"]
     critic = config.get("central_value_config") or {}
@@ -231,15 +231,15 @@ def complete_ppo(
         if any(has_rnn):
             _log.warning("seq_len is called seq_length now: using %s", config["seq_length"])
     if not any(has_rnn):
-        # rl_games demands that it divides the batch, although nothing is cut into sequences.
+        # rl_games requires that seq_length divides the batch, also without a recurrent network.
         config["seq_length"] = 1
     if config.get("schedule_type") == "per_minibatch":  # rl_games 2's name
         config["schedule_type"] = "legacy"
     if "max_steps" in config:
-        # As max_steps it would end up as an array axis inside rl_games.
+        # rl_games would use max_steps as an array axis.
         config.setdefault("max_frames", config.pop("max_steps"))
     if config.get("bounds_loss_coef") is None:
-        config["bounds_loss_coef"] = 0.0  # rl_games 1.6.5 fails without a number
+        config["bounds_loss_coef"] = 0.0  # rl_games 1.6.5 fails with None
     others = None if agent_keys is None else {*OTHER_KEYS, *agent_keys}
     settings = convert_section(PPOSettings, config, _CONFIG, others)
     config.setdefault("seq_length", settings.seq_length)
@@ -259,24 +259,24 @@ def _fit_minibatches(
     policy_has_rnn: bool,
     critic_has_rnn: bool,
 ) -> None:
-    """Make minibatch sizes divide the samples of an epoch, in place, with a line for each change.
+    """Make minibatch sizes divide the samples of an epoch, in place; log each change.
 
-    Minibatches of a recurrent network hold whole sequences.
+    A minibatch of a recurrent network consists of whole sequences.
     """
     horizon = config["horizon_length"]
     sequence = config["seq_length"]  # 1 without a recurrent network
     if horizon % sequence:
         raise ConfigError(
-            f"{_CONFIG}: seq_length {sequence} does not divide horizon_length {horizon}; "
-            "choose a seq_length that does"
+            f"{_CONFIG}: seq_length {sequence} does not divide horizon_length {horizon}; choose a"
+            " divisor as seq_length"
         )
     batch = num_envs * num_agents * horizon
     if batch > _MAX_SAMPLES:
         raise ConfigError(
-            f"{_CONFIG}.horizon_length={horizon} with num_envs={num_envs}: an epoch of"
-            f" {batch:g} samples, expected at most {_MAX_SAMPLES}; lower one of them"
+            f"{_CONFIG}.horizon_length={horizon} with num_envs={num_envs}: an epoch has"
+            f" {batch:g} samples, expected at most {_MAX_SAMPLES}; lower one of the two"
         )
-    # The central critic sees each environment once, however many agents share it.
+    # The central critic has one sample per environment, also if several agents share it.
     fitted = [("", config, batch, policy_has_rnn)]
     if isinstance(critic := config.get("central_value_config"), dict):
         fitted.append(("central_value_config.", critic, num_envs * horizon, critic_has_rnn))
@@ -302,8 +302,7 @@ def _fit_minibatches(
 def fit_minibatch(batch_size: int, minibatch_size: int, multiple_of: int = 1) -> int:
     """Return the divisor of `batch_size` that is nearest to `minibatch_size` in ratio.
 
-    A minibatch larger than the batch becomes the batch. The result is a multiple of `multiple_of`,
-    the sequence length of a recurrent network, which divides the batch.
+    The result is a multiple of `multiple_of`, the sequence length of a recurrent network.
 
     >>> fit_minibatch(1024, 32768)
     1024
@@ -316,13 +315,13 @@ def fit_minibatch(batch_size: int, minibatch_size: int, multiple_of: int = 1) ->
     return min(candidates, key=lambda d: max(d, minibatch_size) / min(d, minibatch_size))
 
 
-# --- keys that are read on their own ---------------------------------------------------------
+# --- keys that other modules read -------------------------------------------------------------
 
 
 def apply_wrapper_limits(tree: dict[str, Any]) -> None:
     """Copy the limits of `train.params.env` into the task section, in place.
 
-    The limit of actions is also the range to which rl_games scales them, see `make_from_config`.
+    rl_games scales actions to the same limit, see `make_from_config`.
     """
     for key, task_key in _LIMITS.items():
         path = f"{_WHERE}.{_ISAAC_LAB_SECTION}.{key}"
@@ -335,10 +334,10 @@ def apply_wrapper_limits(tree: dict[str, Any]) -> None:
 
 
 def checkpoint_in_file(tree: Mapping[str, Any]) -> str:
-    """Return the checkpoint that the train file itself names, '' for none.
+    """Return the checkpoint that the train file names, '' for none.
 
-    IsaacGymEnvs' files interpolate `checkpoint=`; others may have `load_checkpoint: True` and a
-    path. rl_games 1.6.5 reads neither key, its first versions did.
+    IsaacGymEnvs' files interpolate `checkpoint=`; other files have `load_checkpoint: True` and a
+    path. The first versions of rl_games read both keys, version 1.6.5 reads neither.
     """
     params = tree["train"]["params"]
     if not params.get("load_checkpoint") or tree.get("checkpoint"):
@@ -349,36 +348,34 @@ def checkpoint_in_file(tree: Mapping[str, Any]) -> str:
 
 
 def check_env_name(params: Mapping[str, Any]) -> None:
-    """Refuse environments of rl_games' own: a train file trains the task that `task=` names.
+    """Refuse the environments of rl_games, because `task=` names the task.
 
-    One of them makes whatever Gymnasium can import by the name in `env_config`.
+    One of these environments imports code through Gymnasium by a name in `env_config`.
     """
     name = params["config"].get("env_name", ENV_NAME)
     if name != ENV_NAME:
-        raise ConfigError(
-            f"{_CONFIG}.env_name={name}: expected {ENV_NAME}, which means the task of task="
-        )
+        raise ConfigError(f"{_CONFIG}.env_name={name}: expected {ENV_NAME}; task= names the task")
 
 
 def player_class_note(player: Mapping[str, Any]) -> str:
-    """Return one line about a player that a train file names and nothing reads; '' without one."""
+    """Return a line about a train file's player class, which nothing reads; '' without one."""
     if "class_name" not in player:
         return ""
     return (
-        f"{_CONFIG}.player.class_name={player['class_name']} has no effect: algo.name chooses"
-        " the player, by what runner.player_factory has registered for it"
+        f"{_CONFIG}.player.class_name={player['class_name']} has no effect: the player is the class"
+        " that runner.player_factory has registered for algo.name"
     )
 
 
 def torch_compile_setting(setting: Any, device: str, can_compile: bool) -> Any:
-    """Return the value of `torch_compile` that rl_games' Runner reads after it made an agent.
+    """Return the value of `torch_compile` for rl_games' Runner, which compiles by default.
 
-    Without a value the Runner compiles. Agents call this in their constructors, so that it also
-    works in a Runner that the user made: the Runner passes them the dictionary that it reads.
+    Agents call this function in their constructors and store the result in the dictionary that the
+    Runner reads afterwards. It therefore also works in a user's own Runner.
 
     Args:
-        setting: the key `train.params.config.torch_compile`, None without it.
-        device: of the agent.
+        setting: the value of `train.params.config.torch_compile`, None without it.
+        device: device of the agent.
         can_compile: False for agents that differentiate twice (gradient penalties).
     """
     if not can_compile:

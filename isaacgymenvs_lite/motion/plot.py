@@ -24,7 +24,6 @@ from isaacgymenvs_lite.motion.qpos import dofs_of_clip
 from isaacgymenvs_lite.motion.robot_file import load_shown_clip, run_file_command
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.schema import setting
-from isaacgymenvs_lite.utils.optional_packages import import_package
 
 log = logging.getLogger(__name__)
 
@@ -83,11 +82,12 @@ def foot_contacts(
 
 def plot_clip(name: str, settings: PlotSettings) -> Path:
     """Plot a clip; return the file."""
-    figure_module = import_package("matplotlib.figure", f"out={settings.out}")
+    from matplotlib.figure import Figure  # imported late: it takes half a second
+
     clip, skeleton, robot = load_shown_clip(name, settings.robot)
     angles = joint_angles(clip, skeleton)
     height = max(8.0, _LEGEND_LINE * len(angles))
-    figure = figure_module.Figure(figsize=(9, height), layout="constrained")
+    figure = Figure(figsize=(9, height), layout="constrained")
     heights = {"height_ratios": [4, 1.5, 1]}
     angles_axes, root_axes, feet_axes = figure.subplots(3, 1, sharex=True, gridspec_kw=heights)
     times_s = np.arange(clip.num_frames) / clip.fps

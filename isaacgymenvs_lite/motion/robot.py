@@ -20,7 +20,6 @@ import numpy as np
 from isaacgymenvs_lite.motion.robot_file import load_clip_robot, run_file_command, view_of
 from isaacgymenvs_lite.motion.strip import ASPECT, draw_poses, save_png
 from isaacgymenvs_lite.schema import setting
-from isaacgymenvs_lite.utils.optional_packages import require
 
 log = logging.getLogger(__name__)
 
@@ -38,8 +37,6 @@ class RobotCheckSettings:
 
 def check_robot(file: str, settings: RobotCheckSettings) -> None:
     """Log what is taken of a robot's file and added to it; draw its start pose if asked to."""
-    if settings.out:
-        require("PIL", "writing pictures")
     robot = load_clip_robot(file)
     for line in robot.prepared.describe():
         for part in textwrap.wrap(line, _COLUMNS, subsequent_indent="    "):

@@ -26,7 +26,6 @@ from isaacgymenvs_lite.motion.robot_file import load_shown_clip, run_file_comman
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
 from isaacgymenvs_lite.rendering.view import View
 from isaacgymenvs_lite.schema import setting
-from isaacgymenvs_lite.utils.optional_packages import import_package, require
 
 _FRAME_WIDTH, _FRAME_HEIGHT = 200, 320
 ASPECT = _FRAME_WIDTH / _FRAME_HEIGHT
@@ -47,10 +46,11 @@ def draw_poses(
 
 def save_png(path: str | Path, image: Image) -> Path:
     """Write a picture (height, width, 3) with few colours, for a small file."""
-    pillow = import_package("PIL.Image", "writing pictures")
+    import PIL.Image  # imported late: few commands need it
+
     path = Path(path)
     try:
-        pillow.fromarray(image).quantize(_NUM_COLOURS).save(path, format="PNG", optimize=True)
+        PIL.Image.fromarray(image).quantize(_NUM_COLOURS).save(path, format="PNG", optimize=True)
     except OSError as error:
         raise ConfigError(f"cannot write the picture {path.absolute()} ({error})") from error
     return path
@@ -75,7 +75,6 @@ def draw_strip(name: str, out: str, settings: StripSettings) -> Path:
 
     The poses are evenly spaced in time and stand side by side.
     """
-    require("PIL", "writing pictures")  # before the drawing
     clip, _, robot = load_shown_clip(name, settings.robot)
     model, poses = clip_to_qpos(clip, robot.skeleton if robot else None)
     step_s = (settings.seconds or clip.length_s) / settings.frames

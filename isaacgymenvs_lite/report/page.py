@@ -71,7 +71,6 @@ def write_report(run: Path, out: Path | None = None) -> Path:
 
     Raises:
         ConfigError: the folder is no run, has no scalars, or the file cannot be written.
-        MissingPackageError: matplotlib is not installed.
     """
     out = out or run / "report.html"
     if not event_files(run / "summaries"):

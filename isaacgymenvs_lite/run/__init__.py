@@ -1,4 +1,4 @@
-"""What belongs to one run: its folder, its stop, and the observers that show and log it.
+"""The folder of a run, its stop request, and the observers that show and log a training.
 
-The observers are rl_games' `AlgoObserver`s; `observers.TrainingObservers` holds all of them.
+The observers are rl_games' `AlgoObserver`s; `observers.TrainingObservers` combines them.
 """

@@ -1,7 +1,7 @@
-"""Warns when a training with a discriminator goes wrong in a known way, and says what to change.
+"""Warns when a training with a discriminator goes wrong in a known way, and proposes a change.
 
-`docs/reading_a_run.md` lists the five warnings. The limits are far from what any good training has
-shown, because a false alarm costs more than a late one.
+`docs/reading_a_run.md` lists the five warnings. The limits are far from the values of good
+trainings, because a false alarm costs more than a late alarm.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from isaacgymenvs_lite.run.metrics import EpochMetrics, MetricsObserver
 
 log = logging.getLogger(__name__)
 
-# A fault must last this long; the discriminator always wins the first 0.5 M frames.
+# A fault must last for this window; the discriminator always wins the first 0.5 M frames.
 WINDOW_FRAMES, WINDOW_EPOCHS = 3_000_000, 100
 CHECK_EPOCHS = 10
 REPEAT_S = 30 * 60.0
 LAST_MEASUREMENTS = 3
 
 MOSTLY_FALLS, NEARLY_ALL_FALL = 0.5, 0.9
-# While a policy learns to stand, episodes get longer by a third and more in a window. Two
-# measurements of equally good policies differ by about 2%.
+# Episodes get longer by a third and more in a window while a policy learns to stand. Measurements
+# of equally good policies differ by about 2%.
 MIN_GROWTH, MIN_IMPROVEMENT = 1.1, 0.02
-# As a share of its scale. Bad policies that learned had 0.07 and more.
+# Share of the reward's scale. Bad policies that still learned had 0.07 and more.
 NO_REWARD = 0.02
 BAD_POSE_ERROR_M = 0.1
-# Standing shows a tenth of a clip's motion at most. A policy that stands between its attempts
-# showed 0.16 to 0.24, a policy that still learned to move and seldom fell 0.4 and more.
+# `motion_shown` is at most 0.1 for a standing policy and was 0.16 to 0.24 for policies that stood
+# between attempts. It was 0.4 and more for policies that still learned to move and seldom fell.
 STANDING_SHOWN = 0.3
-# Poses of a clip that moves are this far from their average; walk and run have 0.07 to 0.11 m.
+# A clip with a smaller spread counts as still; walk and run have 0.07 to 0.11 m.
 MIN_CLIP_SPREAD_M = 0.02
-# Keys of task.env that keep an episode to its clip, and the values to propose.
+# The keys of task.env that end episodes which leave their clip, with the proposed values.
 CLIP_LIMITS = {"clipDeviation": 0.34, "clipTravel": 0.5, "clipTempo": 0.3}
-# Quick, short steps had 1.55 to 1.9, slow clips that are learned well 1.0 to 1.4. Where no pose of
-# the clip fits such steps, they had 0.02 to 0.35 and show all of the clip.
+# The tempo was 1.55 to 1.9 for quick, short steps and 1.0 to 1.4 for slow clips that were learned
+# well. It was 0.02 to 0.35, with all of the motion shown, if no pose of the clip fits the steps.
 HASTY_TEMPO, LOST_TEMPO, MOVES_SHOWN = 1.5, 0.4, 0.8
-# As a multiple of the best pose error: good trainings had at most 1.25, a lost walk 2.1.
+# Multiple of the best pose error. Good trainings had at most 1.25, a policy that lost its walk 2.1.
 WORSE_POSE_ERROR = 1.5
-# Policies that learned had longer episodes by then, or episodes that still got longer.
+# After these frames policies that learned had longer episodes, or their episodes grew.
 FALL_FRAMES, SHORT_SHARE = 6_000_000, 0.3
 
 
@@ -57,13 +57,13 @@ class Measurement:
     """One measurement of the mean policy against the clips; see `ImitationResult`.
 
     Attributes:
-        frame: environment steps trained before it.
+        frame: environment steps before the measurement.
         pose_error_m: nan if no episode could be measured.
         no_fall_share: 0 to 1.
-        clip_spread_m: see `measurement.clip_spread_m`; about 0 for a clip that does not move.
+        clip_spread_m: see `measurement.clip_spread_m`; about 0 for a clip without motion.
         motion_shown: 0 to 1.
-        tempo: multiple of the clip's.
-        fall_moment: where in the clip most falls begin.
+        tempo: multiple of the clip's tempo.
+        fall_moment: the moment of the clip at which most falls begin.
     """
 
     frame: int
@@ -81,20 +81,20 @@ class Measurement:
 
     @property
     def is_still(self) -> bool:
-        """Whether the policy stands where the clips move."""
+        """Whether the policy stands although the clips move."""
         return self.clip_spread_m > MIN_CLIP_SPREAD_M and self.motion_shown < STANDING_SHOWN
 
     @property
     def is_hasty(self) -> bool:
-        """Whether the policy takes quick, short steps where the clips move."""
+        """Whether the policy takes quicker, shorter steps than the clips."""
         is_lost = self.tempo < LOST_TEMPO and self.motion_shown > MOVES_SHOWN
         return self.clip_spread_m > MIN_CLIP_SPREAD_M and (self.tempo > HASTY_TEMPO or is_lost)
 
 
 class DiagnosticsObserver(AlgoObserver):
-    """Logs the warnings, and writes them to TensorBoard as the text `advice`.
+    """Logs the warnings and writes them to TensorBoard as the text `advice`.
 
-    It must come after the observers that it reads.
+    It must come after the observers `metrics` and `measurement`.
 
     Args:
         metrics: the epochs' metrics.
@@ -126,7 +126,7 @@ class DiagnosticsObserver(AlgoObserver):
         self._algo, self.config = algo, algo.config
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        """Add what is new, and log the warning that is due."""
+        """Add the new values, and log a warning if there is one."""
         if self._metrics.latest is None:
             return
         observer = self._measurement
@@ -144,9 +144,9 @@ class DiagnosticsObserver(AlgoObserver):
             self._algo.writer.add_text("advice", warning, frame)
 
     def next_warning(self, epoch: EpochMetrics, now_s: float) -> str | None:
-        """Return what is wrong after an epoch and what to do about it, or None.
+        """Return the warning after an epoch, or None.
 
-        A warning is repeated after `REPEAT_S` of any clock.
+        A warning is repeated after `REPEAT_S`; `now_s` is the time of any clock.
         """
         window = self._window
         window.append(epoch)
@@ -164,7 +164,7 @@ class DiagnosticsObserver(AlgoObserver):
         self._steps = _median(each.episode_steps for each in window)
         self._early_end_rate = _median(each.early_end_rate for each in window)
         self._measured = [one for one in self.measurements if math.isfinite(one.pose_error_m)]
-        # The first rule that applies is the warning: the later ones may be its consequences.
+        # Only the first fault is reported, because the later ones may be its consequences.
         for rule in (
             self._no_reward,
             self._standing_still,
@@ -194,19 +194,19 @@ class DiagnosticsObserver(AlgoObserver):
         return (
             f"the style reward has vanished: for {_millions(WINDOW_FRAMES)} frames it was"
             f" {reward:.3f} a step and episodes did not get longer ({self._steps:.0f} steps), so"
-            " that the policy cannot see what would be better; start again with"
+            " the policy has nothing to learn from; start again with"
             f" {self._turn('disc_grad_penalty', 2.0)}, {self._turn(rate, 0.5)} or"
             f" {self._turn('amp_minibatch_size', 0.5)}"
         )
 
     def _standing_still(self) -> str | None:
-        # A training that still ends its episodes does not stand.
+        # A policy whose episodes nearly all end early does not stand.
         if not self._last_are(lambda one: one.is_still) or self._early_end_rate > NEARLY_ALL_FALL:
             return None
-        cut = "cut parts without motion out of the clips"
+        cut = "cut the parts without motion out of the clips"
         if missing := self._missing_limits("clipDeviation", "clipTravel"):
             cut = (
-                f"set {missing}: episodes that stay behind their clip end"
+                f"set {missing}, which ends episodes that fall behind their clip"
                 f" (with one clip in task.env.motion_file); or {cut}"
             )
         return (
@@ -221,11 +221,11 @@ class DiagnosticsObserver(AlgoObserver):
         tempo = self._measured[-1].tempo
         proposed = self._missing_limits("clipDeviation", "clipTempo")
         proposed = proposed or "a smaller task.env.clipDeviation, such as 0.2"
-        seen = "it was faster than its clip" if tempo > 1.0 else "it had no pace of its clip"
+        seen = "its tempo was above the clip's" if tempo > 1.0 else "its steps fitted no clip"
         return (
             f"the policy is in a hurry: in the last {LAST_MEASUREMENTS} measurements {seen}, now"
-            f" {tempo:.2f} times, as if in quick, short steps; set {proposed}, which ends"
-            " such episodes in training (with one clip in task.env.motion_file)"
+            f" {tempo:.2f} times the clip's, as with quick, short steps; set {proposed}, which ends"
+            " these episodes in training (with one clip in task.env.motion_file)"
         )
 
     def _gets_worse(self) -> str | None:
@@ -243,7 +243,7 @@ class DiagnosticsObserver(AlgoObserver):
         return (
             f"the policy gets worse: its pose error was {best.pose_error_m:.3f} m after"
             f" {_millions(best.frame)} frames, and at least {least_m:.3f} m in the last"
-            f" {LAST_MEASUREMENTS} measurements; go on from a checkpoint of then with smaller"
+            f" {LAST_MEASUREMENTS} measurements; go on from a checkpoint at that time with smaller"
             f" steps: {rate}"
         )
 
@@ -252,7 +252,7 @@ class DiagnosticsObserver(AlgoObserver):
         if frames < FALL_FRAMES or self._policy_learns():
             return None
         last = self._measured[-LAST_MEASUREMENTS:]
-        # Exploration may make a good policy fall.
+        # A good policy may fall because of the exploration noise.
         stays_up = bool(last) and all(one.stays_up for one in last)
         is_short = self._steps < SHORT_SHARE * self._max_episode_steps
         if stays_up or not (is_short and self._early_end_rate > NEARLY_ALL_FALL):
@@ -294,13 +294,13 @@ class DiagnosticsObserver(AlgoObserver):
         return min(after) < (1.0 - MIN_IMPROVEMENT) * min(before)
 
     def _missing_limits(self, *keys: str) -> str:
-        """Return the command line's words for `keys` of `CLIP_LIMITS` that the task leaves at 0."""
+        """Return settings for those `keys` of `CLIP_LIMITS` that the task leaves at 0."""
         missing = [key for key in keys if key not in self.clip_limits]
         return " and ".join(f"task.env.{key}={CLIP_LIMITS[key]:g}" for key in missing)
 
     def _clips_are_odd(self) -> str:
-        """Return the end of a sentence about what no policy can imitate in the clips."""
-        return f"; no body does what the clips do: {self.implausible}" if self.implausible else ""
+        """Return a clause about motions of the clips that no policy can imitate."""
+        return f"; no policy can imitate the clips: {self.implausible}" if self.implausible else ""
 
     def _turn(self, key: str, factor: float) -> str:
         """Return `train.params.config.<key>=<factor * value> (now <value>)`."""

@@ -1,4 +1,4 @@
-"""Writes what led to diverged simulations into the run folder, for `simulation.replay`."""
+"""Writes recordings of diverged simulations into the run folder, for `simulation.replay`."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _MAX_FILES = 20
 
 
 class DivergenceFiles:
-    """A listener of a task that writes `<run>/diverged/0001.npz` and so on, at most 20 in a run.
+    """A task's listener that writes at most 20 files `<run>/diverged/0001.npz`, `0002.npz`, ...
 
-    Other processes than the main one have their rank in the names: `0001_rank1.npz`.
+    Processes other than the main one add their rank to the names: `0001_rank1.npz`.
     """
 
     def __init__(self, task: Any, run_folder: Path, rank: int = 0) -> None:
@@ -32,7 +32,7 @@ class DivergenceFiles:
         self._has_reported = False
 
     def after_step(self) -> None:
-        """Write what the simulation recorded in the step."""
+        """Write the recordings of the step."""
         while self._recordings and self._written < _MAX_FILES:
             recording = replace(self._recordings.pop(0), task=self._task_name)
             path = self._folder / f"{self._written + 1:04}{self._ending}"

@@ -1,8 +1,8 @@
-"""Writes TensorBoard events without ever blocking or stopping a training run.
+"""Writes TensorBoard events without blocking or stopping a training run.
 
-tensorboardX passes events to a thread through a queue of ten. When the disk is full the thread
-dies, and then `add_scalar` waits for ever, and so does the end of the process. Here the caller
-writes whole records, a failure is logged once, and the events are kept and written later.
+tensorboardX passes events to a thread through a queue of ten. The thread dies if the disk is full;
+then `add_scalar` and the end of the process wait for ever. Here the caller's thread writes whole
+records. A failure is logged once, and the events are kept and written later.
 """
 
 from __future__ import annotations
@@ -21,22 +21,25 @@ from tensorboardX.record_writer import masked_crc32c
 
 _log = logging.getLogger(__name__)
 
-# Classes that are made at run time.
+# protobuf makes these classes at run time.
 Event: Any = event_pb2.Event  # type: ignore[attr-defined]
 SessionLog: Any = event_pb2.SessionLog  # type: ignore[attr-defined]
 
-# Most bytes of events that wait for a full disk, about 20,000 scalars; later ones are dropped.
+# About 20,000 scalars wait for space on a full disk; later scalars are dropped.
 _MAX_WAITING_BYTES = 2**20
 _FLUSH_S = 10.0
-# An event file of tensorboardX without any scalar is smaller than this.
+# tensorboardX' event file without scalars is smaller.
 _HEADER_BYTES = 100
 
 
 class RetryingEventWriter:
-    """Replaces tensorboardX's `EventFileWriter`; makes its folder again if somebody removes it."""
+    """Replaces tensorboardX's `EventFileWriter`; restores its folder if somebody removes it."""
 
     def __init__(self, logdir: str | os.PathLike[str]) -> None:
         self._logdir = Path(logdir)
+        # Readers take the time of the header for the start of the run.
+        version = Event(wall_time=time.time(), file_version="brain.Event:2")
+        self._header = _record(version)
         self._waiting = bytearray()
         self._failing = False
         self._fd: int | None = None
@@ -47,14 +50,14 @@ class RetryingEventWriter:
         return str(self._logdir)
 
     def add_event(self, event: Any) -> None:
-        """Add an event, which is written within ten seconds, or once the disk has room."""
+        """Add an event, which is written within ten seconds or as soon as the disk has space."""
         if len(self._waiting) < _MAX_WAITING_BYTES:
             self._waiting += _record(event)
         if time.monotonic() >= self._next_flush:
             self.flush()
 
     def flush(self) -> None:
-        """Write the events that wait. The first OSError is logged, and the end of the failure."""
+        """Write the waiting events; log the first OSError and the end of the failure."""
         self._next_flush = time.monotonic() + _FLUSH_S
         try:
             self._write()
@@ -81,7 +84,7 @@ class RetryingEventWriter:
 
     def _write(self) -> None:
         if self._fd is not None and os.fstat(self._fd).st_nlink == 0:
-            os.close(self._fd)  # somebody removed the file: what is written to it is lost
+            os.close(self._fd)  # somebody removed the file
             self._fd = None
         if not self._waiting:
             return
@@ -91,14 +94,13 @@ class RetryingEventWriter:
             path = self._logdir / f"events.out.tfevents.{now}.{host}.{os.getpid()}"
             self._fd = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_APPEND, 0o666)
         good = os.fstat(self._fd).st_size
-        version = Event(wall_time=time.time(), file_version="brain.Event:2")
-        data = bytes(self._waiting) if good else _record(version) + bytes(self._waiting)
+        data = bytes(self._waiting) if good else self._header + bytes(self._waiting)
         try:
             written = 0
             while written < len(data):
                 written += os.write(self._fd, data[written:])
         except OSError:
-            # Half a record would end the file for every reader.
+            # Readers would stop at half a record.
             with contextlib.suppress(OSError):
                 os.ftruncate(self._fd, good)
             raise
@@ -108,8 +110,7 @@ class RetryingEventWriter:
 def install(writer: Any) -> None:
     """Make a tensorboardX `SummaryWriter` write through a `RetryingEventWriter`.
 
-    Call it before the first scalar: the event file of tensorboardX, which holds only a header, is
-    closed and removed.
+    Call it before the first scalar, because the event file of tensorboardX is closed and removed.
     """
     file_writer = writer.file_writer
     old = file_writer.event_writer
@@ -125,8 +126,8 @@ def install(writer: Any) -> None:
 
 
 def continue_log(writer: Any, frame: int) -> None:
-    """Make readers drop the scalars from `frame` on of a run that was killed and goes on there."""
-    if hasattr(writer, "file_writer"):  # not of the processes that write nothing
+    """Make readers drop the scalars from `frame` on, because the run goes on at this frame."""
+    if hasattr(writer, "file_writer"):  # only the main process has a file
         start = SessionLog(status=SessionLog.START)
         event = Event(wall_time=time.time(), step=frame, session_log=start)
         writer.file_writer.event_writer.add_event(event)

@@ -31,20 +31,20 @@ log = logging.getLogger(__name__)
 
 LOCK_FILE = ".lock"
 _CONFIG_FILE = "config.yaml"
-# What a file system answers that has no locks, as some network mounts.
+# Some network mounts have no locks and answer with these errors.
 _NO_LOCKS = frozenset((errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL))
 _MAX_HOLDER_BYTES = 200
 
 
 class RunFolder:
-    """The folder of one training run, which no other run writes into.
+    """The folder of one training run; no other run writes into it.
 
     A `with` statement reserves the folder before anything long starts, and removes it if a mistake
     ends the run at once.
 
     Args:
         train_dir: folder of all runs.
-        run_name: name of this run, final once the folder is reserved; rl_games gets the same name.
+        run_name: name of this run, which rl_games receives, too.
         is_exact: False adds a number to the name if such a folder exists.
 
     Attributes:
@@ -67,7 +67,7 @@ class RunFolder:
 
     @classmethod
     def at(cls, path: Path, train_dir: Path) -> RunFolder:
-        """Return the folder of a run that goes on; a rescued run's path means the real folder."""
+        """Return the folder of a resumed run; the path of a rescued run means the real folder."""
         root = train_dir.absolute()
         for rescued in _rescue_dirs(root):
             if path.is_relative_to(rescued):
@@ -83,13 +83,13 @@ class RunFolder:
 
     @property
     def checkpoints(self) -> Path:
-        """Path of its folder of checkpoints."""
+        """Path of the folder of checkpoints."""
         return self.path / "nn"
 
     # --- reserving -------------------------------------------------------------------------
 
     def __enter__(self) -> RunFolder:
-        """Reserve the folder, and remove files that a killed run left half written."""
+        """Reserve the folder, and remove incomplete files of a killed run."""
         for folder in self.path.relative_to(self.train_dir).parents:
             if folder.parts and (self.train_dir / folder / _CONFIG_FILE).exists():
                 raise ConfigError(
@@ -99,7 +99,7 @@ class RunFolder:
         with self._errors_explained():
             above = list(itertools.takewhile(lambda each: not each.exists(), self.path.parents))
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            for name in _numbered(self.name):  # another run may just have taken the name
+            for name in _numbered(self.name):  # another run may have taken the name meanwhile
                 with contextlib.suppress(FileExistsError):
                     (self.train_dir / name).mkdir()
                     self.name = name
@@ -121,7 +121,7 @@ class RunFolder:
         if self._lock is not None:
             self._lock.release()
             self._lock = None
-        if not self._config:  # reserved, and then a mistake came
+        if not self._config:  # a mistake ended the run before `create`
             self._remove_made()
 
     def _remove_made(self) -> None:
@@ -145,7 +145,7 @@ class RunFolder:
     # --- making ----------------------------------------------------------------------------
 
     def create(self, cfg: DictConfig) -> None:
-        """Make the folders, and config.yaml unless a run goes on: that stays until `begin`."""
+        """Make the folders and config.yaml; a resumed run keeps its config.yaml until `begin`."""
         self._config = OmegaConf.to_yaml(cfg)
         with self._errors_explained():
             self.checkpoints.mkdir(exist_ok=True)
@@ -155,20 +155,20 @@ class RunFolder:
         _OPEN.append(self)
 
     def begin(self) -> None:
-        """Replace config.yaml, once the training runs with these settings."""
+        """Replace config.yaml, as the training now runs with these settings."""
         try:
             self._write_config()
         except OSError as error:
             reason = error.strerror or error
-            log.warning("%s keeps the former settings (%s)", self.path / _CONFIG_FILE, reason)
+            log.warning("%s could not be updated (%s)", self.path / _CONFIG_FILE, reason)
 
     def make_again(self) -> None:
-        """Make the folder once more if somebody removed it since `create`, config.yaml included."""
+        """Restore the folder and config.yaml if somebody removed them since `create`."""
         if self._lock is None:
             return  # a run of another program
         if not self.checkpoints.is_dir():
             self.checkpoints.mkdir(parents=True)
-            log.warning("%s was removed while the run trains: made again", self.path)
+            log.warning("%s was removed during the training; it was restored", self.path)
         if not (self.path / _CONFIG_FILE).exists():
             with contextlib.suppress(OSError):  # the checkpoint is more important
                 self._write_config()
@@ -188,7 +188,7 @@ class RunFolder:
         return checkpoints
 
     def remove_if_unused(self) -> None:
-        """Remove what was made if there is no checkpoint; never a folder from before."""
+        """Remove the folders that this run made, if it has no checkpoint."""
         if self.path in self._made and self.newest_checkpoint() is None:
             shutil.rmtree(self.path, ignore_errors=True)
             self._remove_made()
@@ -200,28 +200,29 @@ class RunFolder:
     # --- finding ---------------------------------------------------------------------------
 
     def files(self, pattern: str) -> list[Path]:
-        """Return files of the run by a pattern such as `nn/*.pth`, rescued ones included."""
+        """Return files of the run by a pattern such as `nn/*.pth`, including rescued files."""
         rescued = (folder / self.name for folder in _rescue_dirs(self._real_train_dir))
         return [file for place in (self.path, *rescued) for file in place.glob(pattern)]
 
     def newest_checkpoint(self) -> Path | None:
-        """Return the checkpoint that was written last, also a rescued one; None without one."""
+        """Return the checkpoint that was written last, which may be rescued; None without any."""
         return newest(self.files("nn/*.pth"))
 
     def report_rescued(self, file: Path, key: str) -> None:
-        """Log if a file of the run, found by `key`, is a rescued one."""
+        """Log if a checkpoint that the setting `key` has found is rescued."""
         if not file.is_relative_to(self.path):
             log.warning(
-                "%s takes a rescued checkpoint, %s: its run folder could not be written", key, file
+                "%s uses the rescued checkpoint %s, because its run folder could not be written",
+                *(key, file),
             )
 
 
-# The folders into which this process trains.
+# The run folders of this process.
 _OPEN: list[RunFolder] = []
 
 
 def folder_of_checkpoint(checkpoint: Path) -> RunFolder:
-    """Return the run folder of a checkpoint: the open one, if this process trains in it."""
+    """Return the run folder of a checkpoint; if this process trains in it, the open object."""
     for folder in _OPEN:
         if checkpoint.parent in (folder.checkpoints, folder.checkpoints.absolute()):
             return folder
@@ -230,7 +231,7 @@ def folder_of_checkpoint(checkpoint: Path) -> RunFolder:
 
 
 def newest(files: Iterable[Path]) -> Path | None:
-    """Return the file that was written last, None of none; files may vanish meanwhile."""
+    """Return the file that was written last, None without files; files may vanish meanwhile."""
     times = dict[Path, float]()
     for file in files:
         with contextlib.suppress(OSError):
@@ -243,7 +244,7 @@ def _numbered(name: str) -> Iterator[str]:
 
 
 def run_folders(train_dir: Path) -> Iterator[Path]:
-    """Yield the run folders at any depth below `train_dir`: those with a config.yaml."""
+    """Yield the folders with a config.yaml at any depth below `train_dir`."""
     for folder, below, files in os.walk(train_dir, followlinks=True):
         if _CONFIG_FILE in files and Path(folder) != train_dir:
             below.clear()
@@ -253,7 +254,7 @@ def run_folders(train_dir: Path) -> Iterator[Path]:
 
 
 def runs_below(train_dir: Path) -> list[RunFolder]:
-    """Return the runs at any depth below `train_dir`, also those that only a rescue has left."""
+    """Return the runs at any depth below `train_dir`, including runs that were only rescued."""
     places = (
         (root, run) for root in (train_dir, *_rescue_dirs(train_dir)) for run in run_folders(root)
     )
@@ -262,7 +263,7 @@ def runs_below(train_dir: Path) -> list[RunFolder]:
 
 
 def run_of_checkpoint(checkpoint: str) -> Path | None:
-    """Return the run folder that a checkpoint lies in, `<run>/nn/<name>.pth`; None elsewhere."""
+    """Return the run folder of a checkpoint `<run>/nn/<name>.pth`; None for any other path."""
     path = Path(checkpoint)
     return path.parent.parent if checkpoint and path.parent.name == "nn" else None
 
@@ -275,10 +276,10 @@ class FolderInUseError(ConfigError):
 
 
 class FolderLock:
-    """An exclusive lock on an existing folder, released by `release` or any end of the process.
+    """An exclusive lock on an existing folder, until `release` or the end of the process.
 
-    The lock is on a file in the folder that holds process and host for messages; a kill may leave
-    the file behind, never the lock. A file system without locks gets one warning.
+    The lock is on a file in the folder, which contains process and host for messages. A killed
+    process leaves the file but not the lock. A file system without locks gets one warning.
 
     Raises:
         FolderInUseError: another run holds the lock.
@@ -292,12 +293,12 @@ class FolderLock:
         while not self.is_intact():  # the former holder removed the file meanwhile
             os.close(self._fd)
             self._fd = self._open()
-        with contextlib.suppress(OSError):  # a full disk: the lock holds without a name
+        with contextlib.suppress(OSError):  # a full disk leaves the file empty
             os.ftruncate(self._fd, 0)
             os.write(self._fd, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
 
     def is_intact(self) -> bool:
-        """Return whether the lock still protects the folder: its file was not removed."""
+        """Return whether the lock's file still exists, so that the lock protects the folder."""
         try:
             return os.path.samestat(os.fstat(self._fd), self._file.stat(follow_symlinks=False))
         except OSError:
@@ -305,7 +306,7 @@ class FolderLock:
 
     def release(self) -> None:
         """Remove the file and end the lock."""
-        if self.is_intact():  # another run may have its own by now
+        if self.is_intact():  # otherwise the file may belong to another run
             with contextlib.suppress(OSError):
                 self._file.unlink()
         with contextlib.suppress(OSError):
@@ -340,13 +341,13 @@ class FolderLock:
 
 # --- rescued runs -----------------------------------------------------------------------------
 #
-# Checkpoints whose run folder cannot be written go to a private folder of the user below the
-# system's temporary folder. In it every folder of runs has a folder of its own, with run folders as
-# usual: `<run name>/config.yaml` and `<run name>/nn/`.
+# If a run folder cannot be written, its checkpoints go to a private folder of the user below the
+# system's temporary folder. Every folder of runs has its own folder there, in which the runs have
+# the usual form: `<run name>/config.yaml` and `<run name>/nn/`.
 
 
 def _rescue_dir(train_dir: Path) -> Path:
-    """Return the folder to which runs below `train_dir` are rescued; make the private folder."""
+    """Make the private folder and return the folder for rescued runs of `train_dir` in it."""
     root = _private_root()
     root.mkdir(mode=0o700, exist_ok=True)
     if not _is_private(root):
@@ -355,7 +356,7 @@ def _rescue_dir(train_dir: Path) -> Path:
 
 
 def _rescue_dirs(train_dir: Path) -> list[Path]:
-    """Return the folder to which runs below `train_dir` were rescued, if there is one."""
+    """Return the folder of rescued runs of `train_dir`; empty if there is none."""
     try:
         root = _private_root()
     except OSError:  # there is no temporary folder
@@ -371,13 +372,13 @@ def _private_root() -> Path:
 
 
 def _key(train_dir: Path) -> str:
-    """Return a name for a folder of runs that no other folder on this machine has."""
+    """Return a name that is unique on this machine for a folder of runs."""
     path = os.path.realpath(train_dir)
     return f"{Path(path).name[:40]}-{hashlib.sha256(os.fsencode(path)).hexdigest()[:16]}"
 
 
 def _is_private(folder: Path) -> bool:
-    """Return whether a folder exists, is no link, belongs to this user and is closed to others."""
+    """Return whether a folder exists, is not a link, and only this user may enter it."""
     try:
         status = folder.lstat()
     except OSError:

@@ -1,4 +1,4 @@
-"""Measures the mean policy now and then during a training, and keeps the best one."""
+"""Measures the mean policy at intervals during a training, and keeps the best policy."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ log = logging.getLogger(__name__)
 
 
 def clip_spread_m(reference: ReferencePoses) -> float:
-    """Return the mean distance in m of a clip's poses from their average; the least of all clips.
+    """Return the smallest spread of all clips: the mean distance in m of poses from their average.
 
-    It is near 0 for a clip that does not move, which a policy that stands still imitates well.
+    The spread is near 0 for a clip without motion, which a standing policy imitates well.
     """
     return min((clip - clip.mean(dim=0)).norm(dim=-1).mean().item() for clip in reference.clips)
 
@@ -34,33 +34,33 @@ _NOTABLE = 0.1
 
 
 class MeasurementObserver(Stateful, AlgoObserver):
-    """Plays the mean policy every so many epochs and writes `imitation/pose_error_m`.
+    """Plays the mean policy at intervals and writes `imitation/pose_error_m`.
 
-    It also writes the errors of a task's goal, such as `goal/velocity_error_m_s`. Without reference
-    motions it writes `measured/reward`, and the policy with the highest reward is the run's best
-    checkpoint: rl_games chooses by the last training episodes, which can be many epochs old and end
-    together.
+    It also writes the errors of a task's goal, for example `goal/velocity_error_m_s`. For a task
+    without reference motions it writes `measured/reward`, and the policy with the highest measured
+    reward is the run's best checkpoint. rl_games would choose by the last training episodes, which
+    may be many epochs old.
 
-    The episodes have their own simulation, so that the training is not disturbed, and a fixed seed,
-    so that they start from the same states each time. An evaluation is put off while all of them
-    together would take more than a small share of the training time.
+    The evaluation has its own simulation, so that it does not disturb the training, and a fixed
+    seed, so that all evaluations start from the same states. An evaluation is postponed while all
+    evaluations together would take more than a small share of the training time.
 
     Args:
         make_env: receives a number of environments and returns the evaluation's task.
-        frequency: epochs between evaluations; 0 = never.
-        num_episodes: episodes of one evaluation, all at the same time.
-        chooses_best: whether the measured reward decides which checkpoint is the best.
+        frequency: epochs between evaluations; 0 for no evaluations.
+        num_episodes: episodes of one evaluation, which run at the same time.
+        chooses_best: whether the measured reward chooses the best checkpoint.
 
     Attributes:
         last: the newest result, None before the first evaluation.
-        last_frame: environment steps trained before it.
-        best_pose_error_m: lowest of all results, in m; None before the first pose error.
+        last_frame: environment steps before the newest evaluation.
+        best_pose_error_m: the lowest pose error in m; None before the first pose error.
         clip_spread_m: `clip_spread_m` of the task's clips, nan before the first evaluation.
-        implausible: what is implausible in the clips, '' before the first evaluation.
+        implausible: implausible motions in the clips, '' before the first evaluation.
     """
 
     MAX_TIME_SHARE = 0.02
-    _SHARE_TO_CHOOSE = 0.1  # even a training of seconds gets a few measurements
+    _SHARE_TO_CHOOSE = 0.1  # a training of a few seconds gets a few measurements, too
     _SEED = 1234
     best_pose_error_m: float | None = None
     best_reward: float | None = None
@@ -105,7 +105,7 @@ class MeasurementObserver(Stateful, AlgoObserver):
         self._frame, self._epoch = frame, epoch_num
         self._due |= self._epochs % self._frequency == 0
         trained_s = time.monotonic() - self._start_s - self._spent_s
-        # The next one will cost what the others cost on average.
+        # The next evaluation is expected to take the average time of the others.
         expected_s = self._spent_s / max(1, self._evaluations)
         share = self._SHARE_TO_CHOOSE if self.chooses_best else self.MAX_TIME_SHARE
         if not self._due or self._spent_s + expected_s > share * trained_s:
@@ -135,7 +135,7 @@ class MeasurementObserver(Stateful, AlgoObserver):
         self._write(result, frame)
 
     def worsened(self) -> str:
-        """Return a sentence about a last policy that is worse than the best, '' if it is not."""
+        """Return a sentence if the last policy is worse than the best policy, otherwise ''."""
         if self.last is None or self.best_reward is None or not self.chooses_best:
             return ""
         lost = self.best_reward - self.last.reward
@@ -147,7 +147,7 @@ class MeasurementObserver(Stateful, AlgoObserver):
         )
 
     def measure(self) -> EvaluationResult:
-        """Play the episodes of one evaluation with the mean policy, on the simulation for them."""
+        """Play the episodes of one evaluation with the mean policy."""
         with torch.random.fork_rng(enabled=True):
             if self._env is None:
                 self._env = env = self._make_env(self._num_episodes)
@@ -185,6 +185,6 @@ class MeasurementObserver(Stateful, AlgoObserver):
         scalars |= {f"goal/{name}": error for name, error in result.goal_errors.items()}
         for tag, value in scalars.items():
             self._algo.writer.add_scalar(tag, value, frame)
-        # rl_games writes scalars under the frames before the epoch.
+        # Scalars have rl_games' frame count, before the epoch; the log shows the current count.
         trained = self._algo.frame // getattr(self._algo, "num_agents", 1)
         log.info("after %d frames, without exploration noise: %s", trained, result)

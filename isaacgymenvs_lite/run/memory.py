@@ -1,4 +1,4 @@
-"""Estimates the memory of a training from its settings and the sizes of its task."""
+"""Estimates the memory of a training from its settings and the dimensions of its task."""
 
 from __future__ import annotations
 
@@ -10,29 +10,27 @@ from isaacgymenvs_lite.simulation.backend import bytes_of_env
 from isaacgymenvs_lite.utils.memory import check_memory
 
 _FLOAT_BYTES = 4
-# Weights, gradients, and Adam's two moments.
-_COPIES_IN_TRAINING = 4
-# The rollout, and the training set that is made of it.
-_COPIES_OF_SAMPLES = 2
+_COPIES_IN_TRAINING = 4  # weights, gradients, and Adam's two moments
+_COPIES_OF_SAMPLES = 2  # the rollout and the training set
 
 
 def check_training_memory(params: Mapping[str, Any], task: Any, num_envs: int) -> None:
-    """Refuse a training of `num_envs` that cannot fit into this machine's memory.
+    """Refuse a training that does not fit into this machine's memory.
 
     Args:
         params: the checked section `params` of the train file.
-        task: of any number of environments; its sizes count.
-        num_envs: of the training.
+        task: a task with the dimensions of the training's task.
+        num_envs: number of environments of the training.
     """
     config, network = params["config"], params["network"]
     if str(config.get("device")).startswith("cuda"):
-        return  # that memory is the GPU's; the simulations' is checked where they are made
+        return  # the samples are in the GPU's memory; the simulation checks its own memory
 
     def count(key: str) -> int:  # the agent checks the key later
         return value if isinstance(value := config.get(key), int) else 0
 
     amp_size = getattr(task, "num_amp_obs", 0) if "amp_replay_buffer_size" in config else 0
-    # A row has observation, states, action with its distribution, and others.
+    # A row contains observation, states, action with its distribution, and four scalars.
     row = task.num_obs + task.num_states + 3 * task.num_actions + 4 + amp_size
     samples = num_envs * task.num_agents * count("horizon_length")
     replayed = count("replay_buffer_size") * (2 * task.num_obs + task.num_actions + 2)

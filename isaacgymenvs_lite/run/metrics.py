@@ -18,15 +18,15 @@ from isaacgymenvs_lite.utils.state import Stateful
 
 @dataclass(frozen=True)
 class EpochMetrics:
-    """What is measured in an epoch; None where the agent or the task does not have it.
+    """The metrics of an epoch; None where the agent or the task lacks a metric.
 
     Attributes:
         epoch: number of the epoch.
-        frame: environment steps trained before it, including those before a resumed run.
+        frame: environment steps before the epoch, including those of the run that was resumed.
         episode_steps: mean length of the last episodes in control steps.
         episode_reward: mean sum of the task's rewards of the last episodes.
-        fall_rate: share of the last episodes that ended by a fall, 0 to 1; of a task without
-            `terminate`: that ended before the time limit.
+        fall_rate: share of the last episodes that ended by a fall, 0 to 1. For a task without
+            `terminate`, an episode that ended before the time limit counts as a fall.
         off_clip_rate: share of the last episodes that ended because the motion left its clip.
         train_info: `CommonAgent.train_info_means`; empty for rl_games' own agents.
     """
@@ -51,10 +51,7 @@ class EpochMetrics:
 
     @property
     def disc_accuracy(self) -> float | None:
-        """Share of samples of policy and clips that the discriminator tells right: 0.5 is guessing.
-
-        Both kinds count alike.
-        """
+        """Balanced accuracy of the discriminator, from 0 to 1; 0.5 is guessing."""
         info = self.train_info
         if "disc_agent_acc" not in info or "disc_demo_acc" not in info:
             return None
@@ -62,10 +59,10 @@ class EpochMetrics:
 
 
 class MetricsObserver(Stateful, AlgoObserver):
-    """Stores the newest `EpochMetrics` and writes three of them, such as `info/fall_rate`.
+    """Stores the newest `EpochMetrics` and writes three of them, for example `info/fall_rate`.
 
-    Falls are averaged over the same last episodes as rl_games' mean length and reward
-    (`games_to_track`). It must come before the observers that read `latest`.
+    Falls are averaged over the same episodes as rl_games' mean length and reward
+    (`games_to_track`). This observer must come before the observers that read `latest`.
     """
 
     latest: EpochMetrics | None = None
@@ -79,7 +76,7 @@ class MetricsObserver(Stateful, AlgoObserver):
         self._off_clip = AverageMeter(1, algo.games_to_track).to(algo.ppo_device)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state, the counted episodes included."""
+        """Return the state, including the counted episodes."""
         meters = [[each.mean.cpu(), each.current_size] for each in (self._falls, self._off_clip)]
         return {**super().state_dict(), "meters": meters}
 
@@ -94,7 +91,7 @@ class MetricsObserver(Stateful, AlgoObserver):
         """Count how the episodes of `done_indices` (n, 1) ended."""
         rows = done_indices.flatten()
         if (diverged := diverged_in(infos, rows.device)) is not None:
-            rows = rows[~diverged[rows]]  # cut off: neither a fall nor none
+            rows = rows[~diverged[rows]]  # a diverged episode counts in no rate
         off_clip = infos["off_clip"][rows].bool() if "off_clip" in infos else None
         if "terminate" in infos:
             fell = infos["terminate"][rows].bool()
@@ -105,7 +102,7 @@ class MetricsObserver(Stateful, AlgoObserver):
             self._off_clip.update(off_clip.unsqueeze(1))
 
     def after_clear_stats(self) -> None:
-        """Drop the episodes, as the agent's meters just did."""
+        """Drop the episodes after the agent's meters have been cleared."""
         self._falls.clear()
         self._off_clip.clear()
 
@@ -141,18 +138,21 @@ def _mean(meter: AverageMeter) -> float | None:
 class TaskScalarsObserver(Stateful, AlgoObserver):
     """Writes a task's infos to TensorBoard, with the tags of IsaacGymEnvs' RLGPUAlgoObserver.
 
-    `Episode/<key>`: means of infos["episode"]; `episode_cumulative/<key>` (and _min, _max): sums
-    of infos["episode_cumulative"] over an episode; every scalar in infos, nested keys joined by
-    "/", as `<key>/frame`, `/iter`, `/time`. Also `sim/diverged`: how many simulations diverged in
-    the epoch, of infos["diverged"] (N,) bool; their episodes are left out of all means. And
-    `reward_terms/<name>`: the terms of a reward that has several, as means over environments and
-    steps of the epoch; a high level reads the last of the steps under one of its actions.
+    - `Episode/<key>`: means of infos["episode"].
+    - `episode_cumulative/<key>`, `_min/<key>_min` and `_max/<key>_max`: sums of
+      infos["episode_cumulative"] over an episode.
+    - `<key>/frame`, `<key>/iter` and `<key>/time`: every scalar in infos; nested keys are joined
+      by "/".
+    - `sim/diverged`: the number of simulations that diverged in the epoch, from infos["diverged"]
+      (N,) bool. Their episodes are left out of all means.
+    - `reward_terms/<name>`: the terms of a reward with several terms, as means over environments
+      and steps of the epoch. A hierarchy reads one low-level step for each high-level action.
     """
 
     stored = ("_running", "_finished")
 
     def after_init(self, algo: Any) -> None:
-        """Store the agent, and begin without values."""
+        """Store the agent and clear all values."""
         self._algo = algo
         self._episode_infos: list[dict[str, Any]] = []
         self._scalars: dict[str, float] = {}
@@ -175,7 +175,7 @@ class TaskScalarsObserver(Stateful, AlgoObserver):
         self._scalars = dict(_flat_scalars(infos))
         task = getattr(getattr(self._algo, "vec_env", None), "env", None)
         terms = getattr(task, "reward_terms", {})
-        if len(terms) > 1:  # one is the reward itself
+        if len(terms) > 1:  # a single term is the reward itself
             self._steps += 1
             for name, term in terms.items():
                 self._terms[name] = self._terms.get(name, 0.0) + term.mean()
@@ -195,7 +195,7 @@ class TaskScalarsObserver(Stateful, AlgoObserver):
             total[done_ids] = 0
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        """Write what was collected."""
+        """Write the collected values."""
         writer = self._algo.writer
         if self._diverged is not None:
             writer.add_scalar("sim/diverged", self._diverged, frame)

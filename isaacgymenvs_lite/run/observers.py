@@ -1,4 +1,4 @@
-"""Puts the observers of a training together, in the order in which they need each other."""
+"""Combines the observers of a training, in the order of their dependencies."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Objective:
-    """The number that a run returns, by which sweeps compare runs.
+    """The result of a run, by which sweeps compare runs.
 
-    `direction` is `minimize` or `maximize`, in the words of Hydra's sweepers.
+    `direction` is `minimize` or `maximize`, as in Hydra's sweepers.
     """
 
     name: str
@@ -36,10 +36,10 @@ class Objective:
     direction: str
 
     def check_direction(self, direction: str, task: str) -> None:
-        """Check before a training that a study optimises this number in the right direction.
+        """Check before a training that a study optimises the result in the right direction.
 
         Raises:
-            SweepError: `hydra.sweeper.direction` is the other direction.
+            SweepError: `hydra.sweeper.direction` is the opposite direction.
         """
         if direction and direction != self.direction:
             raise SweepError(
@@ -48,7 +48,7 @@ class Objective:
             )
 
     def describe(self, value: float) -> str:
-        """Return a value for users."""
+        """Return a value as text."""
         return f"{self.name} {value:.4g}{self.unit}"
 
 
@@ -57,11 +57,10 @@ MEAN_REWARD = Objective("best mean reward", "", "maximize")
 
 
 def objective_of(config: Mapping[str, Any], has_pose_error: bool) -> Objective:
-    """Return what runs are compared by, given `train.params.config`.
+    """Return the result by which runs with this `train.params.config` are compared.
 
-    The pose error counts where it is measured and the task's reward does not: `task_reward_w: 0`,
-    as AMP has it. All other trainings learn from the task's reward: PPO, SAC, a hierarchy on a
-    goal.
+    It is the pose error if the pose error is measured and the task's reward has no weight
+    (`task_reward_w: 0`, as in AMP). It is the task's reward in all other trainings.
     """
     learns_task = config.get("task_reward_w", 1.0) != 0
     return POSE_ERROR if has_pose_error and not learns_task else MEAN_REWARD
@@ -80,7 +79,7 @@ class MultiObserver(Stateful, AlgoObserver):
         return {type(each).__name__: each.state_dict() for each in with_state}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the observers; another process may have had other observers."""
+        """Restore the observers that the state contains."""
         for each in self.observers:
             if isinstance(each, Stateful) and type(each).__name__ in state:
                 each.load_state_dict(state[type(each).__name__])
@@ -116,11 +115,11 @@ class MultiObserver(Stateful, AlgoObserver):
 
 
 class TrainingObservers(MultiObserver):
-    """All observers of a training: what it shows, and what it writes besides checkpoints.
+    """All observers of a training.
 
     Attributes:
-        agent: the agent that rl_games' Runner makes and does not return; None before.
-        begin: called after the first rollout, in the main process: nothing can be refused by then.
+        agent: the agent, which rl_games' Runner makes but does not return; None before.
+        begin: called in the main process after the first rollout, when nothing can be refused.
     """
 
     def __init__(
@@ -151,19 +150,19 @@ class TrainingObservers(MultiObserver):
         clip_limits = [key for key in CLIP_LIMITS if config.tree["task"]["env"].get(key)]
         diagnostics = DiagnosticsObserver(metrics, measurement, max_episode_steps, clip_limits)
         observers += [metrics, self._progress, diagnostics]
-        if not current_group().is_main:  # what they show and write is about all processes
+        if not current_group().is_main:  # the main process shows and writes for all processes
             observers = []
         super().__init__(observers if population is None else [*observers, population])
 
     def after_init(self, algo: Any) -> None:
-        """Store the agent, and guard its TensorBoard writer before the first scalar."""
+        """Store the agent, and install our event writer before the first scalar."""
         self.agent = algo
         if current_group().is_main:
             install(algo.writer)
         super().after_init(algo)
 
     def after_steps(self) -> None:
-        """After each rollout; a request to end in one process ends all."""
+        """Call the observers after each rollout; a stop request in one process stops all."""
         self._stop.requested = current_group().any(self._stop.requested)
         begin, self.begin = self.begin, None
         if begin is not None and current_group().is_main:
@@ -171,14 +170,14 @@ class TrainingObservers(MultiObserver):
         super().after_steps()
 
     def evaluate_end(self) -> None:
-        """Measure the last policy, if policies are measured at all; warn if it has got worse."""
+        """Measure the last policy if policies are measured; warn if it is worse than the best."""
         if self._measurement is not None:
             self._measurement.evaluate_end()
             if worsened := self._measurement.worsened():
                 log.warning("%s", worsened)
 
     def best(self, objective: Objective) -> float | None:
-        """Log and return the best number of the run; None if nothing could be measured."""
+        """Log and return the best result of the run; None if nothing could be measured."""
         measured, how = self._measurement, ""
         best = self._metrics.best_reward
         if objective is POSE_ERROR:
@@ -196,7 +195,7 @@ class TrainingObservers(MultiObserver):
         return self._measurement is not None and self._measurement.chooses_best
 
     def close_log(self) -> None:
-        """End the display of progress, and write the scalars that wait."""
+        """Close the progress bar and write the remaining scalars."""
         self._progress.close()
         if self.agent is not None and self.agent.writer is not None:
             self.agent.writer.flush()

@@ -1,4 +1,4 @@
-"""Shows how far a training is, as a progress bar or lines, and ends it at Ctrl-C."""
+"""Shows the progress of a training as a bar or as lines, and ends it at Ctrl-C."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ log = logging.getLogger(__name__)
 
 _ESTIMATE_AFTER_S = 20.0  # the first epochs of a training are slower
 
-# tqdm's default without elapsed time and rate, to make room for the metrics.
+# tqdm's default format without elapsed time and rate leaves room for the metrics.
 _BAR_FORMAT = "{percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{remaining}{postfix}]"
 
 
 class ProgressObserver(AlgoObserver):
-    """Shows a progress bar on a terminal, a line every few seconds elsewhere; stops at Ctrl-C.
+    """Shows a progress bar on a terminal and a line every few seconds elsewhere; stops at Ctrl-C.
 
-    Without a terminal the first and the last epoch always get a line. The epoch in which the user
-    requests the end becomes the last one.
+    Without a terminal the first and the last epoch always have a line. The epoch in which the user
+    requests the end becomes the last epoch.
     """
 
     def __init__(
@@ -58,9 +58,9 @@ class ProgressObserver(AlgoObserver):
         self._frames_per_s = AverageMeter(1, 10)
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        """Show how far the training is; end it if the user requested a stop."""
+        """Show the progress; end the training if the user requested it."""
         algo = self._algo
-        self._total = algo.max_epochs  # before a stop makes this epoch the last one
+        self._total = algo.max_epochs  # a stop changes max_epochs below
         now = time.monotonic()
         fps = algo.curr_frames * current_group().size / max(now - self._last_epoch_s, 1e-9)
         self._frames_per_s.update(torch.tensor([fps]))
@@ -83,7 +83,7 @@ class ProgressObserver(AlgoObserver):
                 self._bar = tqdm(
                     total=total, initial=first, dynamic_ncols=True, bar_format=_BAR_FORMAT
                 )
-            # tqdm cuts off at the width of the terminal, so the least important comes last.
+            # tqdm cuts the line at the width of the terminal; the least important value comes last.
             shown = {**self._measured_values(), **self._epoch_values(), "fps": self._fps()}
             self._bar.set_postfix(shown, refresh=False)
             self._bar.update(epoch_num - self._bar.n)
@@ -97,14 +97,14 @@ class ProgressObserver(AlgoObserver):
             algo.max_epochs = epoch_num
 
     def _left_s(self, epoch_num: int, now: float) -> float | None:
-        """Return the time that the remaining epochs take; None without a last epoch."""
+        """Return the time in s for the remaining epochs; None if their number is unlimited."""
         if self._total <= epoch_num:
             return None
         made = epoch_num - (self._first_epoch or epoch_num) + 1
         return (self._total - epoch_num) * (now - self._start_s) / made
 
     def _epoch_values(self) -> dict[str, str]:
-        """Return the epoch's metrics as texts; those that do not exist are left out."""
+        """Return the epoch's metrics as texts; unknown metrics are left out."""
         metrics, shown = self._metrics.latest, dict[str, str]()
         if metrics is None:
             return shown
@@ -114,7 +114,7 @@ class ProgressObserver(AlgoObserver):
             shown["falls"] = f"{metrics.fall_rate:.0%}"
         if metrics.off_clip_rate is not None:
             shown["off the clip"] = f"{metrics.off_clip_rate:.0%}"
-        # A task's reward that the agent does not learn from is not worth the room.
+        # The task's reward is left out if the agent does not learn from it.
         if metrics.episode_reward is not None and self._algo.config.get("task_reward_w", 1.0) != 0:
             shown["reward"] = f"{metrics.episode_reward:.2f}"
         if metrics.style_reward is not None:
@@ -124,7 +124,7 @@ class ProgressObserver(AlgoObserver):
         return shown
 
     def _measured_values(self) -> dict[str, str]:
-        """Return the newest measurement as texts, if there is one."""
+        """Return the newest measurement as texts; empty before the first measurement."""
         result = self._imitation.last if self._imitation is not None else None
         if result is None:
             return {}
@@ -158,7 +158,7 @@ class ProgressObserver(AlgoObserver):
         log.info("%s", ", ".join(parts))
 
     def close(self) -> None:
-        """Close the progress bar; write a line for the last epoch if there is none yet."""
+        """Close the progress bar; write the last epoch's line unless it was written."""
         if self._bar is not None:
             self._bar.close()
         if self._unwritten_epoch is not None:

@@ -1,4 +1,4 @@
-"""Ends a run on request: Ctrl-C, SIGTERM or the end of the session finish the epoch and save."""
+"""Ends a run after the current epoch, with a checkpoint, at the request of user or system."""
 
 from __future__ import annotations
 
@@ -16,18 +16,17 @@ from isaacgymenvs_lite.errors import StoppedAtOnceError
 
 log = logging.getLogger(__name__)
 
-# Of an ssh session or a terminal that closes; Windows has none.
+# An ssh session or a terminal sends this signal when it closes. Windows does not have it.
 _HANGUP = getattr(signal, "SIGHUP", None)
-# torchrun passes signals on: what a terminal sends, a process receives twice.
+# torchrun passes signals on, so a process receives a terminal's signal twice.
 _SAME_SIGNAL_S = 2.0
 
 
 class StopRequest:
-    """Turns the first Ctrl-C or SIGTERM into a request, the second into a StoppedAtOnceError.
+    """Turns the first Ctrl-C or SIGTERM into a request and the second into a StoppedAtOnceError.
 
-    Use it in a `with` statement, which installs the signal handlers. SIGHUP is always a request,
-    because a session that ends may send several. A process started by nohup ignores SIGHUP and goes
-    on.
+    A `with` statement installs the signal handlers. SIGHUP is always a request, because a closing
+    session may send it several times. A process that nohup has started ignores it.
 
     Attributes:
         requested: whether the run should end after this epoch.
@@ -46,7 +45,7 @@ class StopRequest:
         _restore_handlers(self._former)
 
     def request(self) -> None:
-        """Request the end, as the first signal does."""
+        """Request the end like the first signal."""
         self.requested = True
         log.warning("ending after this epoch with a checkpoint")
 
@@ -59,14 +58,16 @@ class StopRequest:
         if started_by_torchrun():
             self._repeats_until_s = time.monotonic() + _SAME_SIGNAL_S
         name = signal.Signals(number).name
-        log.warning("%s: ending after this epoch with a checkpoint; once more ends at once", name)
+        log.warning(
+            "%s: ending after this epoch with a checkpoint; a second %s ends at once", name, name
+        )
 
 
 @contextmanager
 def signals_as_ctrl_c() -> Iterator[None]:
-    """Make SIGTERM and SIGHUP raise KeyboardInterrupt once, as Ctrl-C does.
+    """Make SIGTERM and SIGHUP raise KeyboardInterrupt once, like Ctrl-C.
 
-    For the training loops of other libraries, which save at a KeyboardInterrupt.
+    The training loops of other libraries save a checkpoint at a KeyboardInterrupt.
     """
     raised = False
 
@@ -84,7 +85,7 @@ def signals_as_ctrl_c() -> Iterator[None]:
 
 
 def _install_handlers(numbers: tuple[int, ...], handler: Any) -> dict[int, Any]:
-    """Install a handler of signals and, unless it is ignored, of SIGHUP; return the former ones."""
+    """Install a signal handler, also for SIGHUP unless it is ignored; return former handlers."""
     if threading.current_thread() is not threading.main_thread():
         return {}  # only the main thread may handle signals
     if _HANGUP is not None and signal.getsignal(_HANGUP) is not signal.SIG_IGN:

@@ -1,7 +1,7 @@
-"""The jobs of `train.py -m`: a failed job does not end the others, and all are listed at the end.
+"""Runs the jobs of `train.py -m` and lists them at the end; a failed job does not end the others.
 
-Hydra composes the jobs and runs them, in this process or in others. Each job has its run folder, as
-any training, and writes one line into `jobs.csv` in the sweep's folder.
+Hydra composes the jobs and runs them in this process or in others. Each job has its own run folder
+and writes one line into `jobs.csv` in the sweep's folder.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from isaacgymenvs_lite.errors import ConfigError, SweepError, UserError, one_lin
 log = logging.getLogger(__name__)
 
 _FILE = "jobs.csv"
-# Whether the user has ended the sweep, in a process that runs jobs.
+# Whether the user has ended the sweep; each process that runs jobs has its own copy.
 _ended_here = False
 
 
 def check_words(words: Sequence[str]) -> None:
-    """Refuse the words of a sweep whose jobs would get into each other's way."""
+    """Refuse a sweep whose jobs would interfere with each other."""
     if not any(word in ("-m", "--multirun") or word.startswith("+study=") for word in words):
         return
     typed = {word.partition("=")[0].lstrip("+"): word.partition("=")[2] for word in words}
@@ -42,8 +42,8 @@ def check_words(words: Sequence[str]) -> None:
         )
     if typed.get("pbt", "no_pbt") != "no_pbt":
         raise ConfigError(
-            "-m trains one run after the other, and the policies of a population train at the same"
-            " time; start each in a process of its own: pbt.policy_idx=0, 1, ..."
+            "pbt= with -m: -m trains one run after the other, but the policies of a population"
+            " train at the same time; start a process for each policy: pbt.policy_idx=0, 1, ..."
         )
     name = typed.get("full_experiment_name", "")
     if name and "," not in name:
@@ -57,21 +57,22 @@ def run_job(run: Callable[..., float | None], parent: int) -> float | None:
     """Run the current job of a sweep, and add a line about it to the sweep's file.
 
     Args:
-        run: receives `stop` and `direction`, and trains or plays as `runner.run` does.
+        run: trains or plays like `runner.run`; its arguments are `stop` and `direction`.
         parent: process id of the sweep.
 
     Returns:
-        The number of the job; infinity, or minus infinity where more is better, if it has failed.
+        The result of the job. A failed job returns the worst result: infinity, or minus infinity
+        if the direction is `maximize`.
 
     Raises:
         KeyboardInterrupt: the user has ended the sweep, which runs in this process.
-        SweepError: the settings of the sweep fit none of its jobs.
+        SweepError: the sweep's settings are wrong for every job.
     """
     from isaacgymenvs_lite.run.stop_request import StopRequest  # imports torch
 
     global _ended_here
     direction: Any = getattr(HydraConfig.get().sweeper, "direction", "")
-    direction = getattr(direction, "name", direction)  # of an enumeration, or a word
+    direction = getattr(direction, "name", direction)  # some sweepers have an enumeration
     direction = direction if isinstance(direction, str) else ""
     stop = StopRequest()
     number, failure = None, "not started: the sweep was ended by the user" if _ended_here else ""
@@ -98,19 +99,19 @@ def run_job(run: Callable[..., float | None], parent: int) -> float | None:
         csv.writer(file).writerow([job.job.num, " ".join(job.overrides.task), written, failure])
     if failure:
         log.error("job #%d: %s", job.job.num, failure)
-    # A sweeper goes on after the worst number.
+    # A sweeper goes on after the worst result.
     worst = -math.inf if direction == "maximize" else math.inf
     return worst if failure else number
 
 
 class Summary(Callback):
-    """Lists the jobs at the end of a sweep; cfg/config.yaml names it among Hydra's callbacks."""
+    """Lists the jobs at the end of a sweep; cfg/config.yaml registers it as a callback of Hydra."""
 
     num_failed = 0
-    """Failed jobs of the sweep in this process."""
+    """Number of failed jobs of the sweep."""
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
-        """Log one line for each job, with its number or why it failed."""
+        """Log one line for each job, with its result or the reason of its failure."""
         file = Path(config.hydra.sweep.dir, _FILE)
         if not file.is_file():
             return
@@ -132,9 +133,9 @@ class Summary(Callback):
 
 @contextlib.contextmanager
 def waiting_for_jobs() -> Iterator[None]:
-    """Let the first Ctrl-C wait for jobs in other processes, which end after their epochs.
+    """Wait after the first Ctrl-C for jobs in other processes, which finish their epochs.
 
-    A terminal sends Ctrl-C to all processes. The second one ends all of them at once.
+    A terminal sends Ctrl-C to all processes. A second Ctrl-C ends all of them at once.
     """
     pressed = False
 
@@ -143,7 +144,7 @@ def waiting_for_jobs() -> Iterator[None]:
         if pressed:
             raise KeyboardInterrupt
         pressed = True
-        log.warning("the sweep ends with the running jobs; once more ends them at once")
+        log.warning("the sweep ends after the running jobs; a second Ctrl-C ends them at once")
 
     former = signal.signal(signal.SIGINT, handle)
     try:

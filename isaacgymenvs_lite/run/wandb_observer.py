@@ -1,4 +1,4 @@
-"""Opens a run of Weights & Biases that mirrors TensorBoard, with the published keys."""
+"""Opens a run of Weights & Biases that mirrors TensorBoard, with IsaacGymEnvs' keys."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _ATTEMPTS = 3
 class WandbObserver(AlgoObserver):
     """Opens a run before the agent makes its TensorBoard writer, which wandb then mirrors.
 
-    A failure (no network, no login) is logged, and the training goes on without wandb. The run is
-    called as the run folder unless `wandb_name` differs from the train file's name.
+    A failure (no network, no login) is logged, and the training goes on without wandb. The run has
+    the name of the run folder unless `wandb_name` differs from the train file's name.
     """
 
     def __init__(self, tree: dict[str, Any], settings: LaunchSettings, run_name: str) -> None:
@@ -32,11 +32,11 @@ class WandbObserver(AlgoObserver):
         self._run: Any = None
 
     def before_init(self, base_name: str, config: dict[str, Any], experiment_name: str) -> None:
-        """Open the run; up to three attempts with growing pauses."""
+        """Open the run in up to three attempts with growing pauses."""
         for attempt in range(1, _ATTEMPTS + 1):
             try:
                 self._open()
-            except Exception as error:  # wandb raises many kinds; none may end a training
+            except Exception as error:  # no error of wandb may end a training
                 log.warning("wandb: attempt %d of %d failed: %s", attempt, _ATTEMPTS, error)
                 if attempt < _ATTEMPTS:
                     time.sleep(attempt)
@@ -45,7 +45,7 @@ class WandbObserver(AlgoObserver):
         log.error("wandb could not be opened; training goes on without it")
 
     def close(self) -> None:
-        """Upload what is left and end the run, so that this process can open another."""
+        """Upload the rest and end the run, so that this process can open another run."""
         if self._run is None:
             return
         try:
@@ -84,5 +84,5 @@ def log_video(path: Path) -> None:
         return
     try:
         wandb.log({"video": wandb.Video(str(path), format="mp4")})
-    except Exception as error:  # as for opening the run
+    except Exception as error:  # no error of wandb may end a training
         log.warning("wandb: %s was not added: %s", path, error)

@@ -1,1 +1,1 @@
-"""Helpers that several packages share: rotations, files, threads, optional packages."""
+"""Helpers for rotations, files, threads and optional packages that several packages share."""

@@ -1,4 +1,4 @@
-"""Atomic writing of files: they appear whole or not at all."""
+"""Writes files atomically, so that a file is complete or absent."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from pathlib import Path
 from isaacgymenvs_lite.errors import ConfigError
 
 PARTIAL_FILE = r"\..+\.\d+\.partial"
-"""Pattern of the names of temporary files; one that stays was left by a kill."""
+"""Pattern of the names of temporary files, which a killed process may leave."""
 
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path to write to; it is renamed to `path` at the end, or removed.
 
-    The content reaches the disk before the new name does, so that a crash leaves the old file or
-    the new one. The temporary file is a new one: in a folder that others can write to, a link of
-    its name would lead to another file.
+    The content reaches the disk before the new name, so that a crash leaves the old file or the new
+    file. A file or link that has the temporary path is removed first, because another user may have
+    made it.
 
     Raises:
         OSError: the folder is missing, cannot be written or is full.
     """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    partial.unlink(missing_ok=True)  # the link or the file, not what a link leads to
+    partial.unlink(missing_ok=True)  # a link is removed, its target stays
     partial.touch(exist_ok=False)
     try:
         yield partial
@@ -38,32 +38,32 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def check_no_links(folder: Path, below: str = "") -> None:
-    """Refuse links below a folder, through which files elsewhere could be written.
+    """Refuse links below a folder, because writing through them would change files elsewhere.
 
     Args:
-        folder: may be a link itself.
-        below: the only folder in it that is written to; '': all.
+        folder: the folder, which may be a link itself.
+        below: the only subfolder that is written to; '' for all.
 
     Raises:
-        ConfigError: there is a link below it.
+        ConfigError: there is a link below the folder.
     """
     walk = os.walk(folder / below)
     found = (Path(top, name) for top, folders, files in walk for name in (*folders, *files))
     for path in itertools.chain([folder / below], found):
         if path.is_symlink() and path != folder:
             raise ConfigError(
-                f"{path} is a link, through which files elsewhere would be written; replace it by"
-                " its target, or link the whole folder of the runs"
+                f"{path} is a link, through which files elsewhere would be written; replace the"
+                " link by its target, or link the whole folder of the runs"
             )
 
 
 @contextmanager
 def written_for_user(path: Path, key: str) -> Iterator[Path]:
-    """Write as `atomic_write` and create the folder if it does not exist.
+    """Write like `atomic_write`, and create the folder if it does not exist.
 
     Args:
         path: the file.
-        key: setting that gave the path, for the message.
+        key: the setting with the path, for the message.
 
     Raises:
         ConfigError: the folder cannot be made or written, or is full.

@@ -1,15 +1,14 @@
-"""World poses and velocities of a model's bodies, from qpos and qvel, for many states at once.
+"""Computes world poses and velocities of a model's bodies from many rows of qpos and qvel.
 
-`mj_kinematics` and the stages after it also compute inertias, tendons and collisions, which are not
-needed here, and MuJoCo's velocities are of other points than the bodies' origins.
+MuJoCo's own stages also compute inertias, tendons and collisions, which nobody needs here, and
+MuJoCo gives velocities of other points than the bodies' origins.
 
-The bodies get rows by their depth in the tree: those of one depth are neighbours, and what a body
-takes from its parent is computed for all of them in one operation. Joints are grouped so that all
-of a group move in one operation.
+The bodies have rows in the order of their depth in the tree. One operation therefore applies the
+parents' poses to all bodies of one depth, and one operation moves all joints of a group.
 
-Arrays over states are component-major: a row for each component of each body, a column for each
-state, so that every operation runs along contiguous memory. They are numpy's, whose operations
-start sooner than torch's: on arrays this small that is most of their time.
+Arrays over states are component-major: they have a row for each component of each body and a
+column for each state, so that every operation runs along contiguous memory. They are numpy arrays,
+because torch's operations have a longer overhead, which dominates for arrays of this size.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from isaacgymenvs_lite.utils.rotations import (
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
-# A shorter quaternion is no rotation, as in MuJoCo.
+# A shorter quaternion counts as the identity, as in MuJoCo.
 MIN_LENGTH = 1e-15
 
 Floats = npt.NDArray[np.float32]
@@ -41,19 +40,20 @@ Ids = npt.NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Joints:
-    """J joints of one type, of J bodies, that are evaluated together.
+    """A group of J joints of one type on J bodies, which are evaluated together.
 
     Attributes:
-        kind: their type.
-        number: how many joints their bodies have before these.
-        bodies: (J,) rows of their bodies.
-        qpos: rows of qpos: (J,) of hinges and slides, (4, J) xyzw of balls, (7, J) of free joints.
-        qvel: rows of qvel: (J,) of hinges and slides, (3, J) of balls, (6, J) of free joints.
-        references: (J, 1) rad or m, qpos in the model's own pose, of hinges and slides.
-        axes: (3, J, 1) in the body's frame, of hinges and slides.
-        anchors: (3, J, 1) m, the points of the bodies about which they rotate; None: the origins.
+        kind: type of the joints.
+        number: number of joints that each body has before the joint of this group.
+        bodies: (J,) rows of the bodies.
+        qpos: rows of qpos: (J,) for hinges and slides, (4, J) xyzw for balls, (7, J) for free
+            joints.
+        qvel: rows of qvel: (J,) for hinges and slides, (3, J) for balls, (6, J) for free joints.
+        references: (J, 1) rad or m, qpos of hinges and slides in the model's own pose.
+        axes: (3, J, 1) axes of hinges and slides in the body's frame.
+        anchors: (3, J, 1) m, points of the bodies about which they rotate; None for the origins.
         is_first_rotation: whether the bodies have their parents' rotation before these joints.
-        is_last: whether none of these bodies has a joint after these.
+        is_last: whether no body of the group has a later joint.
     """
 
     kind: int
@@ -85,9 +85,9 @@ class Level:
     """L bodies of one depth, whose parents' poses are applied together.
 
     Attributes:
-        bodies: their rows.
+        bodies: rows of the bodies.
         parents: (L,) rows of their parents.
-        is_rotated: whether any of them may have another rotation than its parent.
+        is_rotated: whether the rotation of any body may differ from its parent's.
     """
 
     bodies: slice
@@ -99,15 +99,15 @@ class KinematicTree:
     """The first B bodies of a model, without the world, and their joints in groups.
 
     Args:
-        model: the compiled model, with the values that it has now.
-        num_bodies: B; None for all. Their parents are among them.
+        model: the compiled model; later changes of its values have no effect.
+        num_bodies: B, which must include all parents; None for all bodies.
 
     Attributes:
         order: (B,) the bodies in the order of their rows, nearest to the world first.
         row_of_body: (B,) the row of each body.
-        offsets: (3, B, 1) m, positions in their parents without joints, by rows.
-        rotations: (4, B, 1) xyzw, rotations in their parents without joints, by rows.
-        joints: all joints of these bodies, groups of first joints before second ones.
+        offsets: (3, B, 1) m, positions in the parents' frames without joints, by rows.
+        rotations: (4, B, 1) xyzw, rotations in the parents' frames without joints, by rows.
+        joints: all groups of joints; the first joints of all bodies come before the second joints.
         levels: the bodies whose parent is not the world, nearest to the world first.
         children: the rows of all levels together.
         parents: rows of the parents of `children`.
@@ -136,28 +136,28 @@ class KinematicTree:
 
 
 class Kinematics:
-    """World poses and velocities of the first B bodies of a model.
+    """Computes world poses and velocities of the first B bodies of a model.
 
-    All types of joints, several of them on one body included. Mocap bodies keep the poses that they
-    have in the model. Diverging simulations cause numpy's warnings unless the caller silences them.
+    A body may have several joints of any type. Mocap bodies keep their poses in the model.
+    Diverging simulations cause numpy's warnings unless the caller silences them.
 
     Args:
-        model: the compiled model, with the values that it has now.
-        num_bodies: B; None for all. Their parents are among them.
+        model: the compiled model; later changes of its values have no effect.
+        num_bodies: B, which must include all parents; None for all bodies.
     """
 
     def __init__(self, model: mujoco.MjModel, num_bodies: int | None = None) -> None:
         self._tree = KinematicTree(model, num_bodies)
-        # Only several joints on one body make it necessary to compute poses between joints.
+        # Poses between joints are needed only if a body has several joints.
         self._has_stacked_joints = any(joints.number > 0 for joints in self._tree.joints)
 
     def poses(self, qpos: Floats, positions: Floats, rotations: Floats) -> None:
-        """Compute the poses of all bodies in world axes.
+        """Compute the poses of all bodies in the world frame.
 
         Args:
-            qpos: (nq, n) in MuJoCo's conventions; quaternions need not be unit.
-            positions: (3, B, n) m, filled in.
-            rotations: (4, B, n) xyzw, filled in.
+            qpos: (nq, n) in MuJoCo's conventions; quaternions need not have unit length.
+            positions: (3, B, n) m, the output.
+            rotations: (4, B, n) xyzw, the output.
         """
         tree = self._tree
         pos, rot = np.empty_like(positions), np.empty_like(rotations)  # by rows
@@ -167,7 +167,7 @@ class Kinematics:
             if level.is_rotated:
                 world = quat_mul_components(world, rot[:, level.bodies])
             scatter(rot, level.bodies, world)
-        # All offsets into world axes at once, then their sums.
+        # Rotate all offsets into world axes at once, then add them up.
         offsets = rotate_components(rot.take(tree.parents, axis=1), pos[:, tree.children])
         scatter(pos, tree.children, offsets)
         for level in tree.levels:
@@ -200,26 +200,25 @@ class Kinematics:
     ) -> None:
         """Compute the velocities of all bodies' origins in world axes.
 
-        A body moves as its parent does, and by its joints: with angular velocity w and origin p, in
-        world axes,
+        The angular velocity w and the velocity v of the origin p in world axes are (Featherstone,
+        Rigid Body Dynamics Algorithms, section 2)
 
             w = w_parent + sum over balls and hinges of w_joint
             v = v_parent + w_parent x (p - p_parent)
                 + sum over balls and hinges of w_joint x (p - anchor)
                 + sum over slides of axis * speed
 
-        as in any text on rigid bodies, such as Featherstone, Rigid Body Dynamics Algorithms,
-        section 2. Offsets between bodies are differences of float32 positions: their rounding grows
-        with the distance from the environment's origin, by 4e-6 m at 50 m.
+        Offsets between bodies are differences of float32 positions. Their rounding error grows with
+        the distance from the environment's origin; it is 4e-6 m at 50 m.
 
         Args:
             qpos: (nq, n) in MuJoCo's conventions.
-            qvel: (nv, n) in MuJoCo's conventions, but angular velocities of free joints in world
-                axes.
-            positions: (3, B, n) m, that `poses` computes for `qpos`.
-            rotations: (4, B, n) xyzw, likewise.
-            lin_vel: (3, B, n) m/s, filled in.
-            ang_vel: (3, B, n) rad/s, filled in.
+            qvel: (nv, n) in MuJoCo's conventions, except that the angular velocities of free joints
+                are in world axes.
+            positions: (3, B, n) m, the result of `poses`.
+            rotations: (4, B, n) xyzw, the result of `poses`.
+            lin_vel: (3, B, n) m/s, the output.
+            ang_vel: (3, B, n) rad/s, the output.
         """
         tree = self._tree
         linear, angular = np.zeros_like(lin_vel), np.zeros_like(ang_vel)
@@ -246,8 +245,8 @@ class Kinematics:
     ) -> None:
         """Add each body's velocity relative to its parent to `linear` and `angular`, by rows.
 
-        Goes from the last joint of each body to the first: the body's pose after a joint gives the
-        joint's axis, and undoing the joint gives the pose after the joint before it.
+        The loop goes from the last joint of each body to the first. The pose after a joint gives
+        the joint's axis; undoing the joint gives the pose after the previous joint.
         """
         if self._has_stacked_joints:
             pos, rot = positions.copy(), rotations.copy()
@@ -299,7 +298,7 @@ def _apply_displacements(joints: Joints, by: Floats, positions: Floats, rotation
 
 
 def _undo(joints: Joints, bodies: Ids, qpos: Floats, positions: Floats, rotations: Floats) -> None:
-    """Change poses of `bodies` (J,) after these joints into the poses before them."""
+    """Change the poses of `bodies` (J,) after these joints into the poses before the joints."""
     after = rotations.take(bodies, axis=1)
     if joints.kind == SLIDE:
         displacements = joints.displacements(qpos)
@@ -328,7 +327,7 @@ def scatter_add(rows: Floats, bodies: Ids | slice, components: Sequence[Floats] 
 
 
 def unit_quats(quats: Floats) -> Floats:
-    """Scale quaternions (4, J, n) to unit length; those of zero length become no rotation."""
+    """Scale quaternions (4, J, n) to unit length; a quaternion of zeros becomes the identity."""
     length = np.sqrt(np.square(quats).sum(axis=0))
     is_none = length < MIN_LENGTH
     if is_none.any():
@@ -349,7 +348,7 @@ def _depths(model: mujoco.MjModel) -> Ids:
 def _joint_groups(
     model: mujoco.MjModel, row_of_body: Ids, is_rotated: npt.NDArray[np.bool_]
 ) -> list[Joints]:
-    """Group the joints: the first joints of all bodies by type, then the second ones, and so on."""
+    """Group the joints by their number on the body and by their type."""
     included = model.jnt_bodyid <= len(row_of_body)
     number = np.arange(model.njnt) - model.body_jntadr[model.jnt_bodyid]
     groups: list[Joints] = []
@@ -380,7 +379,7 @@ def _joint_groups(
 
 
 def _qpos_rows(kind: int, addresses: npt.NDArray[np.integer]) -> Ids:
-    """Rows of qpos of joints that start at `addresses` (J,); quaternions as xyzw."""
+    """Return rows of qpos of joints that start at `addresses` (J,); quaternions are xyzw."""
     if kind == FREE:
         place = addresses + np.arange(3)[:, None]
         return np.concatenate((place, _qpos_rows(BALL, addresses + 3))).astype(np.intp)
@@ -391,12 +390,12 @@ def _qpos_rows(kind: int, addresses: npt.NDArray[np.integer]) -> Ids:
 
 
 def _qvel_rows(kind: int, addresses: npt.NDArray[np.integer]) -> Ids:
-    """Rows of qvel of joints that start at `addresses` (J,)."""
+    """Return rows of qvel of joints that start at `addresses` (J,)."""
     if kind in (FREE, BALL):
         return (addresses + np.arange(6 if kind == FREE else 3)[:, None]).astype(np.intp)
     return addresses.astype(np.intp)
 
 
 def _columns(vectors: npt.NDArray[np.floating]) -> Floats:
-    """Turn constants (J, d) into (d, J, 1)."""
+    """Return constants (J, d) as (d, J, 1)."""
     return np.ascontiguousarray(vectors.T[..., None], dtype=np.float32)

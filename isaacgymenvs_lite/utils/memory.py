@@ -1,6 +1,7 @@
-"""Compares the memory that is needed with the memory that there is, before it is taken.
+"""Compares the memory that is needed with the machine's memory before it is allocated.
 
-Linux grants memory that it does not have, and ends the process once it is used: without a line.
+Linux grants more memory than the machine has, and kills the process without a message when the
+memory is used.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from pathlib import Path
 from isaacgymenvs_lite.errors import ConfigError
 
 _GIB = 2**30
-# Limits of the container, by version of control groups; "max" means none.
+# Files with the container's limit, by version of control groups; "max" means no limit.
 _CGROUP_LIMITS = (
     Path("/sys/fs/cgroup/memory.max"),
     Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
@@ -20,7 +21,7 @@ _CGROUP_LIMITS = (
 
 
 def total_memory_bytes() -> int | None:
-    """Return the memory of this machine or container in bytes, None if it is not known."""
+    """Return the memory of this machine or container in bytes, None if it is unknown."""
     limits = []
     if hasattr(os, "sysconf"):  # not on Windows
         limits.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
@@ -35,12 +36,12 @@ def total_memory_bytes() -> int | None:
 
 
 def check_memory(needed: Mapping[str, float], advice: str, total_bytes: int | None = None) -> None:
-    """Refuse what cannot fit into the memory of this machine, also if nothing else ran on it.
+    """Refuse a memory use that exceeds the memory of this machine.
 
     Args:
-        needed: what it is for -> bytes, of which each is certain to be used.
-        advice: what to lower.
-        total_bytes: of the machine; None finds it out.
+        needed: bytes by purpose; each is a lower bound.
+        advice: settings to lower, for the message.
+        total_bytes: memory of the machine; None reads it from the system.
 
     Raises:
         ConfigError: the sum exceeds the machine's memory.

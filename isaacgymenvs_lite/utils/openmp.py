@@ -1,9 +1,9 @@
 """Makes torch's idle OpenMP threads sleep, unless an environment variable decides otherwise.
 
-OpenMP's idle threads spin, in torch's builds some 10 ms behind each operation, on CPUs that the
-physics or another process needs. On a busy machine every operation of a network then waits for a
-thread that the system has suspended: a training becomes ten to forty times slower.
-OpenMP reads how to wait once, when torch is imported.
+OpenMP's idle threads spin for some 10 ms after each operation of torch, on CPUs that the physics or
+another process needs. On a busy machine every operation of a network then waits for a thread that
+the system has suspended, so that a training becomes ten to forty times slower. OpenMP reads its
+waiting policy once, when torch is imported.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from __future__ import annotations
 import os
 import sys
 
-# Any of these in the environment decides how threads wait.
+# The user chooses the waiting policy by any of these environment variables.
 _WAITING = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "KMP_BLOCKTIME")
 _spins = False
 
 
 def let_threads_sleep() -> None:
-    """Set OMP_WAIT_POLICY=PASSIVE for torch's import, unless the environment has a setting.
+    """Set OMP_WAIT_POLICY=PASSIVE before torch's import, unless the environment has a setting.
 
-    Child processes inherit the variable. If torch was imported before, nothing is set, as nothing
-    would read it; see `threads_spin`.
+    Child processes inherit the variable. Nothing is set if torch was imported before, because
+    nothing would read it; see `threads_spin`.
     """
     global _spins
     if any(name in os.environ for name in _WAITING):

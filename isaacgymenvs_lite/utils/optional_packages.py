@@ -1,4 +1,4 @@
-"""Optional packages, which an extra installs, and the error for a missing one."""
+"""Imports optional packages, which our extras install, or says which extra is missing."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from typing import Any
 
 from isaacgymenvs_lite.errors import MissingPackageError
 
-# Module -> extra of this package that installs it.
+# Maps each module to the extra of this package that installs it.
 EXTRAS = {
-    "PIL": "video",
     "av": "video",
-    "matplotlib": "report",
     "mink": "retarget",
     "onnx": "export",
     "onnxruntime": "export",
@@ -25,20 +23,20 @@ EXTRAS = {
     "stable_baselines3": "sb3",
     "wandb": "wandb",
 }
-# Module -> name of the package, where they differ.
-_PACKAGE_NAMES = {"PIL": "Pillow", "av": "av (PyAV)"}
+# Maps modules to the names of their packages if the two differ.
+_PACKAGE_NAMES = {"av": "av (PyAV)"}
 
 
 def require(module: str, wanted_by: str, otherwise: str = "") -> None:
     """Check that a package is installed, without importing it.
 
     Args:
-        module: name that it is imported by, of `EXTRAS`.
-        wanted_by: what needs it, for the message.
-        otherwise: what to do without it, for the message.
+        module: the name by which it is imported, a key of `EXTRAS`.
+        wanted_by: the feature that needs it, for the message.
+        otherwise: an alternative without the package, for the message.
 
     Raises:
-        MissingPackageError: it is not installed; the message names the extra.
+        MissingPackageError: the package is not installed; the message names the extra.
     """
     if importlib.util.find_spec(module) is None:
         package = _PACKAGE_NAMES.get(module, module)
@@ -50,10 +48,10 @@ def require(module: str, wanted_by: str, otherwise: str = "") -> None:
 
 
 def import_package(module: str, wanted_by: str) -> Any:
-    """Return a module of an optional package, such as `PIL.Image`.
+    """Return a module of an optional package, for example `stable_baselines3.common`.
 
     Args:
-        module: its dotted name; the first part is one of `EXTRAS`.
+        module: its dotted name; the first part is a key of `EXTRAS`.
         wanted_by: see `require`.
 
     Raises:

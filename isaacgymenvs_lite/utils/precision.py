@@ -1,9 +1,9 @@
-"""Chooses the precision of networks: bfloat16 by a key or by a short measurement.
+"""Chooses the precision of networks by a key or by a short measurement.
 
-rl_games writes its autocast for CUDA only, so that `mixed_precision: True` did nothing on a CPU.
-Here it means bfloat16 on a GPU and on CPUs that have instructions for it. On others (most laptops)
-bfloat16 is emulated, several times slower than float32, and LSTMs cannot use it at all. `auto`
-measures on the CPU: bfloat16 is several times faster with bfloat16 units, but not on all CPUs.
+`mixed_precision: True` means bfloat16 on a GPU and on a CPU with instructions for bfloat16;
+rl_games' own autocast has no effect on a CPU. Other CPUs (most laptops) emulate bfloat16, several
+times slower than float32, and LSTMs cannot use it there. `auto` measures on the CPU whether
+bfloat16 is faster.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 log = logging.getLogger(__name__)
 
-# Worth it only if clearly faster: autocast's own casts cost some of the gain.
+# The casts of autocast cost a part of the gain.
 _MIN_SPEEDUP = 1.3
 _CALIBRATION_ROWS = 1024
 _CALIBRATION_UNITS = 512
@@ -31,12 +31,12 @@ def resolve_mixed_precision(value: Any, device: str | torch.device) -> bool:
     """Return whether to compute in bfloat16 on `device`.
 
     Args:
-        value: the key `train.params.config.mixed_precision`: True, False or "auto". True means
+        value: value of `train.params.config.mixed_precision`: True, False or "auto". True means
             float32 on a CPU without instructions for bfloat16.
-        device: where the networks live. `auto` on a GPU means False, the published value.
+        device: device of the networks. `auto` means False on a GPU, as in published files.
 
     Raises:
-        ConfigError: another value.
+        ConfigError: `value` is something else.
     """
     on_cpu = torch.device(device).type == "cpu"
     if value is True and on_cpu and not supports_bfloat16():
@@ -65,7 +65,7 @@ def resolve_mixed_precision(value: Any, device: str | torch.device) -> bool:
 
 def supports_bfloat16() -> bool:
     """Return whether this CPU has instructions with which oneDNN computes in bfloat16."""
-    # Public capabilities are per instruction set; this is the check that oneDNN's layers make.
+    # oneDNN's layers make the same check; torch's public functions name instruction sets only.
     return torch.backends.mkldnn.is_available() and bool(
         torch.ops.mkldnn._is_mkldnn_bf16_supported()
     )
@@ -73,7 +73,7 @@ def supports_bfloat16() -> bool:
 
 def measure_bfloat16_speedup() -> float:
     """Return how many times faster a layer's forward and backward pass is in bfloat16."""
-    # The calibration must not shift the random numbers of the run.
+    # The measurement must not change the random numbers of the run.
     with torch.random.fork_rng(devices=[]):
         layer = torch.nn.Linear(_CALIBRATION_UNITS, _CALIBRATION_UNITS)
         rows = torch.rand(_CALIBRATION_ROWS, _CALIBRATION_UNITS)
@@ -87,10 +87,10 @@ def measure_bfloat16_speedup() -> float:
         return once
 
     full, half = run(False), run(True)
-    with one_torch_thread():  # as the networks are evaluated
+    with one_torch_thread():  # the rollout evaluates the networks on one thread
         full()
         half()
-        # In turns, and the best of each: other work on the machine must not decide.
+        # Taking turns and the best times reduces the influence of other work on the machine.
         times = [(_time_s(full), _time_s(half)) for _ in range(_CALIBRATION_ROUNDS)]
     return min(full_s for full_s, _ in times) / min(half_s for _, half_s in times)
 

@@ -1,4 +1,4 @@
-"""A random stream of one environment, independent of the rest of the process."""
+"""Provides a random stream of one environment, independent of the rest of the process."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from torch import Tensor
 
 
 class RandomStream:
-    """Switches torch's CPU generator to a state of its own. Use it in a `with` statement.
+    """Switches torch's CPU generator to the environment's own state, in a `with` statement.
 
-    Tasks draw from torch's generator, and so does the agent that acts in them. Seeding an
-    environment must not make the agent repeat its noise. Without a seed the environment uses the
-    state of the process. Switching the state costs about a microsecond.
+    Tasks and agents draw from the same generator of torch, but seeding an environment must not make
+    the agent repeat its noise. Without a seed the environment uses the state of the process.
+    Switching the state takes about a microsecond.
     """
 
     def __init__(self) -> None:
@@ -21,7 +21,7 @@ class RandomStream:
         self._others: Tensor | None = None
 
     def seed(self, seed: int) -> None:
-        """Start a sequence of its own."""
+        """Start the environment's own sequence."""
         self._own = torch.Generator().manual_seed(seed).get_state()
 
     def __enter__(self) -> RandomStream:

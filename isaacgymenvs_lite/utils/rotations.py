@@ -1,12 +1,12 @@
 """Rotations as quaternions (x, y, z, w) and rotation vectors, batched over leading dimensions.
 
-The one place where Isaac's order (x, y, z, w) meets MuJoCo's (w, x, y, z). Function names and
-conventions follow IsaacGymEnvs' `torch_jit_utils` and the AMP code, so that task code reads the
-same. Quaternions are unit unless said; angles are in rad; every function accepts
-float32 or float64 tensors and returns the same dtype.
+Names and conventions follow IsaacGymEnvs' `torch_jit_utils` and the AMP code. Quaternions have unit
+length unless a function says otherwise; angles are in rad. Functions accept float32 or float64
+tensors and return the same dtype. This module also converts between Isaac's order (x, y, z, w) and
+MuJoCo's order (w, x, y, z).
 
-Functions named `..._components` take and return one tensor (or numpy array) per component, for
-callers that keep components apart in memory: there the same arithmetic is several times as fast.
+Functions named `..._components` take and return one tensor or numpy array per component. They are
+several times as fast for callers that store components apart in memory.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-# What the functions that take one tensor or array per component work on.
+# The type of one component.
 _Array = TypeVar("_Array", Tensor, npt.NDArray[Any])
 
-# Below this angle (rad) a rotation vector counts as no rotation: sin(angle) / angle is not formed.
+# A rotation vector with a smaller angle (rad) counts as the identity.
 _SMALL_ANGLE_RAD = 1e-5
 
 
@@ -140,7 +140,7 @@ def quat_to_angle_axis(q: Tensor) -> tuple[Tensor, Tensor]:
 def quat_to_exp_map(q: Tensor) -> Tensor:
     """Return the rotation vectors (..., 3) of quaternions (..., 4), at most pi long.
 
-    Angle times axis of `quat_to_angle_axis`.
+    A rotation vector is angle times axis of `quat_to_angle_axis`.
     """
     w = q[..., 3:].clamp(-1.0, 1.0)
     sin_half = torch.sqrt((1.0 - w * w).clamp(min=0.0))
@@ -156,13 +156,13 @@ def angle_axis_to_exp_map(angle: Tensor, axis: Tensor) -> Tensor:
 def quat_log(q: Tensor) -> Tensor:
     """Return the rotation vectors (..., 3) of quaternions (..., 4), exact for small rotations too.
 
-    The same as `quat_to_exp_map` without its threshold and without acos: this is what MuJoCo
-    computes as the length of an actuator on a ball joint (`mju_quat2Vel`).
+    It differs from `quat_to_exp_map` by having no threshold and no acos. MuJoCo computes the length
+    of an actuator on a ball joint in the same way (`mju_quat2Vel`).
     """
     x, y, z, w = q.unbind(-1)
-    # Never zero, so that the limit of angle / sin_half at no rotation, 2, needs no special case.
+    # The clamp makes angle / sin_half finite at the identity, where its limit is 2.
     sin_half = torch.sqrt(x * x + y * y + z * z).clamp(min=1e-8)
-    # atan2 with the sign of w moved to the numerator picks the rotation of at most pi.
+    # Moving the sign of w to the numerator of atan2 chooses the rotation of at most pi.
     angle = 2.0 * torch.atan2(torch.copysign(sin_half, w), w.abs())
     return q[..., :3] * (angle / sin_half).unsqueeze(-1)
 
@@ -170,12 +170,11 @@ def quat_log(q: Tensor) -> Tensor:
 def exp_map_to_angle_axis(exp_map: Tensor, keep_long: bool = False) -> tuple[Tensor, Tensor]:
     """Return angle (...) in [-pi, pi] and axis (..., 3) of rotation vectors (..., 3).
 
-    The length is wrapped into (-pi, pi]; wrapped angles of at most 1e-5 give no rotation, about
-    (0, 0, 1). IsaacGymEnvs tests the *signed* angle, so that there a vector between pi and 2 pi
-    long means no rotation; that is the default, as its observations were made so. With
-    `keep_long` the magnitude is tested, as in ASE, and such a vector keeps its rotation. Joint
-    positions of this project come from quaternions and are never longer than pi: for them the two
-    rules are the same.
+    The length is wrapped into (-pi, pi]. A wrapped angle of at most 1e-5 gives the angle 0 and the
+    axis (0, 0, 1). IsaacGymEnvs, and this function by default, compare the signed angle, so that a
+    vector between pi and 2 pi long gives the angle 0, too. ASE, and this function with `keep_long`,
+    compare the magnitude, so that this vector keeps its rotation. The rules are equal for vectors
+    of at most pi, as this project computes them from quaternions.
     """
     length = exp_map.norm(dim=-1)
     angle = normalize_angle(length)
@@ -204,15 +203,15 @@ def exp_map_to_quat_components(
     else:
         angle = torch.threshold(angle, _SMALL_ANGLE_RAD, 0.0)
     half = 0.5 * angle
-    # Where something turns, the length is above the bound; elsewhere the sine is zero.
+    # The bound has no effect on rotations, because the sine is zero below it.
     axis_scale = half.sin() / length.clamp(min=_SMALL_ANGLE_RAD)
     return x * axis_scale, y * axis_scale, z * axis_scale, half.cos()
 
 
 def quat_to_tan_norm(q: Tensor) -> Tensor:
-    """Return the images of the x axis and of the z axis, (..., 6), of quaternions (..., 4).
+    """Return the rotated x axis and z axis, (..., 6), for quaternions (..., 4).
 
-    The six-number rotation encoding of the AMP observations (tangent and normal).
+    AMP observations encode rotations by this tangent and normal.
     """
     return torch.stack(tan_norm_components(q.unbind(-1)), dim=-1)
 
@@ -234,7 +233,7 @@ def tan_norm_components(q: Iterable[_Array]) -> tuple[_Array, ...]:
 
 
 def calc_heading(q: Tensor) -> Tensor:
-    """Return the heading (...) of rotations (..., 4): the angle about world z of their x axis."""
+    """Return the heading (...) of rotations (..., 4), the angle of their x axis about world z."""
     x, y, z, w = q.unbind(-1)
     return torch.atan2(2.0 * (x * y + w * z), 2.0 * (w * w + x * x) - 1.0)
 
@@ -258,21 +257,20 @@ def _about_z(angle: Tensor) -> Tensor:
 def rotate_about_z(cos: Tensor, sin: Tensor, v: Tensor) -> Tensor:
     """Rotate vectors v (..., 3) about world z by an angle given as its cosine and sine (...).
 
-    Equals `quat_rotate` with a heading quaternion, in a quarter of the arithmetic.
+    The result equals `quat_rotate` with a heading quaternion, for a quarter of the arithmetic.
     """
     x, y, z = v.unbind(-1)
     return torch.stack((cos * x - sin * y, sin * x + cos * y, z.expand_as(x)), dim=-1)
 
 
 def slerp(a: Tensor, b: Tensor, t: Tensor) -> Tensor:
-    """Interpolate from a to b (..., 4) at t (..., 1), as the AMP motion library does.
+    """Interpolate from a to b (..., 4) at t (..., 1) the shorter way, as AMP's motion library.
 
-    The shorter way is taken. Nearly equal rotations (sine of the angle below 0.001) give the mean
-    (a + b) / 2 whatever t is, and t outside [0, 1] extrapolates: both are the original's, which
-    the motion library's numbers depend on.
+    Nearly equal rotations (sine of the angle below 0.001) give the mean (a + b) / 2 for any t. A
+    value of t outside [0, 1] extrapolates. Both rules are the original's.
     """
-    # Summed with w first, as the original does: nearly equal rotations take one branch or the other
-    # by the last bit.
+    # The original sums with w first. The order matters to nearly equal rotations, because the last
+    # bit decides which rule applies.
     products = a * b
     cos = products[..., 3:] + products[..., 0:1] + products[..., 1:2] + products[..., 2:3]
     sign = torch.ones_like(cos).masked_fill(cos < 0.0, -1.0)
@@ -331,10 +329,10 @@ def euler_xyz_to_exp_map(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
 def quat_to_matrix(q: Tensor) -> Tensor:
     """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) of any length but zero.
 
-    Column i is the image of axis i.
+    Column i is the rotated axis i.
     """
     x, y, z, w = q.unbind(-1)
-    # What makes a unit quaternion of it, once for each of the two factors of a product.
+    # Products of two components are divided by the squared length.
     x2, y2, z2 = (2.0 * part / (q * q).sum(-1) for part in (x, y, z))
     rows = (
         (1.0 - y * y2 - z * z2, x * y2 - w * z2, x * z2 + w * y2),
@@ -347,9 +345,8 @@ def quat_to_matrix(q: Tensor) -> Tensor:
 def matrix_to_quat(matrix: Tensor) -> Tensor:
     """Return the quaternions (..., 4) of rotation matrices (..., 3, 3).
 
-    Of q and -q the one whose largest component is positive. That component comes from the
-    diagonal and the others by division through it (Shepperd 1978), so that no small number is
-    divided by.
+    The largest component of the result is positive. It comes from the diagonal, and the others are
+    divided by it (Shepperd 1978), so that the divisor is never small.
 
     Raises:
         ValueError: the last two dimensions are not 3 and 3.
@@ -359,7 +356,7 @@ def matrix_to_quat(matrix: Tensor) -> Tensor:
             f"rotation matrices: got shape {tuple(matrix.shape)}, expected (..., 3, 3)"
         )
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (row.unbind(-1) for row in matrix.unbind(-2))
-    # Four times q q^T: its rows are multiples of q, and the largest on the diagonal is the safest.
+    # The rows of 4 q q^T are multiples of q; the row with the largest diagonal entry is used.
     products = (
         (1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz),
         (xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx),

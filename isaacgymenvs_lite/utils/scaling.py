@@ -1,4 +1,4 @@
-"""Numbers in ranges, and as shares of them."""
+"""Scales values between given limits and the range from -1 to 1."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from torch import Tensor
 
 
 def scale(shares: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
-    """Return shares (..., D), -1 for lower (D,) and 1 for upper (D,), as values."""
+    """Map shares (..., D) from [-1, 1] to [lower, upper], both (D,)."""
     return 0.5 * (shares + 1.0) * (upper - lower) + lower
 
 
 def unscale(values: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
-    """Return values (..., D) with lower (D,) as -1 and upper (D,) as 1."""
+    """Map values (..., D) from [lower, upper], both (D,), to [-1, 1]."""
     return (2.0 * values - (upper + lower)) / (upper - lower)

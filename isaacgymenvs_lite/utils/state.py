@@ -1,4 +1,4 @@
-"""State of objects and of random generators, for a training that continues in another process."""
+"""Reads and restores the state of objects and of random generators, for resumed trainings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 State = Any
-"""Tensors, numbers, None and texts in lists and dictionaries: what a checkpoint may hold."""
+"""Tensors, numbers, None and texts in lists and dictionaries; a checkpoint holds nothing else."""
 
 _NOTHING = object()
 _NUMBERS = (bool, int, float)
@@ -26,8 +26,8 @@ class Stateful:
     the values that `__init__` gave them.
 
     Attributes:
-        stored: names of the attributes to store; None: all.
-        not_stored: names of attributes to leave out, in addition to those of base classes.
+        stored: names of the attributes to store; None for all.
+        not_stored: names of the attributes to leave out; the names in base classes are added.
     """
 
     stored: ClassVar[tuple[str, ...] | None] = None
@@ -39,22 +39,22 @@ class Stateful:
         return {name: part for name, part in parts.items() if part is not _NOTHING}
 
     def load_state_dict(self, state: dict[str, State]) -> None:
-        """Restore the state of an object of the same construction.
+        """Restore the state of an object that was constructed alike.
 
-        Tensors of the same shape are written in place, so that views stay views.
+        Tensors of the same shape are written in place, so that views remain views.
 
         Raises:
             AttributeError, KeyError, RuntimeError, TypeError, ValueError: the state does not fit.
         """
         own = (value.device for value in vars(self).values() if isinstance(value, Tensor))
-        device = next(own, torch.device("cpu"))  # of tensors that do not exist yet
+        device = next(own, torch.device("cpu"))  # for tensors that do not exist yet
         for name, part in state.items():
             if not self._is_stored(name):
                 raise ValueError(f"{type(self).__name__}.{name} is not stored")
             setattr(self, name, write_state(getattr(self, name, None), part, device))
         for name, part in state.items():
             value = getattr(self, name)
-            # One tensor under two names may have become two tensors.
+            # Two names of one tensor may have become two tensors.
             if isinstance(value, Tensor) and not _is_equal(value, part):
                 setattr(self, name, part.to(value.device))
 
@@ -83,7 +83,7 @@ def read_state(value: Any) -> State:
     if isinstance(value, random.Random):
         return json.dumps(value.getstate())
     if isinstance(value, dict):
-        # A safe loader refuses keys that are objects.
+        # torch's safe loader refuses keys that are objects.
         parts = {k: read_state(part) for k, part in value.items() if type(k) in (str, int)}
         return {key: part for key, part in parts.items() if part is not _NOTHING}
     if isinstance(value, (list, tuple, deque)):
@@ -96,10 +96,10 @@ def write_state(value: Any, state: State, device: torch.device | str) -> Any:
     """Write a state into a value where possible, and return the restored value.
 
     Args:
-        value: of the same kind as the value that was read. A tuple in place of None is a cache,
-            which stays None.
-        state: what `read_state` returned.
-        device: of tensors that do not exist yet.
+        value: a value of the same type as the value that was read. If it is None and the state is
+            a tuple, the attribute is a cache and stays None.
+        state: the result of `read_state`.
+        device: device of tensors that do not exist yet.
 
     Raises:
         AttributeError, KeyError, RuntimeError, TypeError, ValueError: the state does not fit.

@@ -1,11 +1,11 @@
-"""Thread counts of the physics, the networks and the tensor operations between them.
+"""Chooses the numbers of threads of the physics, the networks and the tensor operations.
 
-With `train.py` all three get the same number, the key `num_threads`. They never run at the same
-time, so that they do not compete for CPUs.
+`train.py` uses the key `num_threads` for all three. They do not compete for CPUs, because they
+never run at the same time.
 
-Other trainers compute with torch's own threads, which synchronise after every operation. For few
-rows that costs more than it saves, and on a busy machine each synchronisation waits for a thread
-that the system has suspended. So torch is limited to fewer threads while a small task is open
+Other trainers use torch's own threads, which synchronise after every operation. This costs more
+than it saves for few rows. On a busy machine each synchronisation also waits for a thread that the
+system has suspended. torch is therefore limited to fewer threads while a small task is open
 (`limit_torch_threads`). docs/speed.md has the measurements.
 """
 
@@ -24,17 +24,17 @@ from isaacgymenvs_lite.utils.openmp import threads_spin
 
 log = logging.getLogger(__name__)
 
-# On an idle machine a second thread saves time from twice as much on.
+# A second thread saves time on an idle machine if the work is twice as much.
 _ENVS_PER_THREAD = 256
 _PRODUCTS_PER_THREAD = 20_000_000
-# Environment variables by which users choose.
+# Users choose the number of threads by these environment variables.
 _COUNTS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def thread_count(num_threads: int = 0) -> int:
     """Return `num_threads`, or for 0 the number of CPUs that this process may use.
 
-    Processes that torchrun starts on a machine share its CPUs.
+    Processes that torchrun has started on one machine share its CPUs.
     """
     if num_threads > 0:
         return num_threads
@@ -47,8 +47,8 @@ def thread_count(num_threads: int = 0) -> int:
 def one_torch_thread() -> Iterator[None]:
     """Run torch's CPU operations on the calling thread only.
 
-    A task's tensors are small: waking a second thread costs more than it saves (observations of
-    1,024 humanoids take half the time on one thread), and the physics threads need the CPUs.
+    Waking a second thread costs more than it saves for a task's small tensors: the observations of
+    1,024 humanoids take half the time on one thread. The physics threads also need the CPUs.
     """
     before = torch.get_num_threads()
     if before == 1:
@@ -62,15 +62,15 @@ def one_torch_thread() -> Iterator[None]:
 
 
 def threads_for_envs(num_envs: int) -> int:
-    """Return the torch threads that a trainer can use, judged by the number of environments.
+    """Return the number of torch threads that a trainer can use for this number of environments.
 
-    A minibatch of PPO has about eight rows for each environment.
+    The estimate assumes eight rows of a minibatch for each environment, as in PPO.
     """
     return max(1, num_envs // _ENVS_PER_THREAD)
 
 
 def threads_for_products(products: int) -> int:
-    """Return the torch threads that a gradient step can use.
+    """Return the number of torch threads that a gradient step can use.
 
     Args:
         products: rows of a minibatch times parameters of the networks.
@@ -81,18 +81,18 @@ def threads_for_products(products: int) -> int:
 def limit_torch_threads(task: Any, most: int, num_threads: int = 0) -> None:
     """Limit torch's threads until `task` is closed.
 
-    The process has one such number. It is changed only here, with one line in the log, and restored
-    when the last task is closed. With several tasks open the highest limit counts. Nothing is
-    changed
+    The number of threads belongs to the process. It is changed with one line in the log and
+    restored when the last task is closed. The highest limit counts if several tasks are open. The
+    number is not changed
 
-    - when OMP_NUM_THREADS or MKL_NUM_THREADS is set, unless `num_threads` is,
-    - when torch's number is not its default, unless `num_threads` is set, and
+    - if OMP_NUM_THREADS or MKL_NUM_THREADS is set, unless `num_threads` is set,
+    - if torch's number is not its default, unless `num_threads` is set, and
     - after a call of `torch.set_num_threads` while a task is open.
 
     Args:
         task: owner of the limit; a second call replaces its limit.
         most: see `threads_for_envs` and `threads_for_products`.
-        num_threads: the key; unless 0 it replaces `most`.
+        num_threads: value of the key; unless it is 0 it replaces `most`.
     """
     torch_threads.add(task, num_threads or most, is_chosen=num_threads > 0)
 
@@ -104,7 +104,7 @@ def release_torch_threads(task: Any) -> None:
 
 @contextmanager
 def trainer_sets_threads() -> Iterator[None]:
-    """Disable limits for tasks made inside: their trainer has a key of its own."""
+    """Disable limits inside the `with` statement, because the trainer sets torch's threads."""
     torch_threads.held_off += 1
     try:
         yield
@@ -113,11 +113,11 @@ def trainer_sets_threads() -> Iterator[None]:
 
 
 class TorchThreads:
-    """Torch's number of threads and its limits; one object, as torch has one number.
+    """The limits of torch's number of threads; the process has one object of this class.
 
     Attributes:
-        limits: limit of each open task, by its id.
-        before: torch's number without limits; None while there are none.
+        limits: limit of each open task, by the task's id.
+        before: torch's number without limits; None while there are no limits.
         given: the number that was set last.
         held_off: how many trainers currently set the number themselves.
     """
@@ -153,7 +153,7 @@ class TorchThreads:
         if before is None:
             return
         if torch.get_num_threads() != self.given:
-            self.before = None  # set elsewhere: leave it
+            self.before = None  # somebody else has set the number, which stays
         else:
             self.given = min(before, max(self.limits.values(), default=before))
             torch.set_num_threads(self.given)
@@ -168,16 +168,16 @@ class TorchThreads:
         if self.given < before:
             self._has_warned = True
             log.warning(
-                "torch computes on %d thread(s), not %d, while this small task is open;"
-                " OMP_NUM_THREADS=n or torch.set_num_threads(n) after making it decides otherwise",
+                "torch computes on %d thread(s), not %d, while this small task is open; to choose"
+                " another number set OMP_NUM_THREADS=n or call torch.set_num_threads(n) afterwards",
                 self.given,
                 before,
             )
         elif before > 1 and threads_spin():
             self._has_warned = True
             log.warning(
-                "torch was imported before isaacgymenvs_lite: its idle threads spin on the CPUs of"
-                " the physics; import isaacgymenvs_lite first, or set OMP_WAIT_POLICY=PASSIVE"
+                "torch was imported before isaacgymenvs_lite, so its idle threads occupy the CPUs"
+                " of the physics; import isaacgymenvs_lite first, or set OMP_WAIT_POLICY=PASSIVE"
             )
 
 

@@ -1,4 +1,4 @@
-"""Reads a YAML file as plain values: no tag of it runs code."""
+"""Reads a YAML file as plain values, without running code that its tags name."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from isaacgymenvs_lite.errors import ConfigError, one_line
 
 
 def load_yaml(path: Path) -> Any:
-    """Return what a YAML file holds; None for an empty file. Of equal keys the last one counts.
+    """Return the content of a YAML file, None for an empty file; the last of equal keys counts.
 
     Raises:
-        ConfigError: the file is missing, or is no YAML.
+        ConfigError: the file is missing or is not valid YAML.
     """
     try:
         return yaml.safe_load(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
         raise ConfigError(f"the file {path} does not exist") from error
-    except Exception as error:  # whatever is wrong with a stranger's file is one line
+    except Exception as error:  # every fault of a stranger's file becomes one line
         raise ConfigError(f"{path} is not valid YAML: {one_line(error)}") from error

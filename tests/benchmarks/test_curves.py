@@ -43,7 +43,6 @@ def test_table(two_seeds):
 
 @pytest.mark.parametrize("against", ["minutes", "frames"])
 def test_picture(two_seeds, tmp_path, against):
-    pytest.importorskip("matplotlib")
     path = tmp_path / "curves.png"
     draw(two_seeds, path, against)
     assert path.read_bytes().startswith(b"\x89PNG")

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
+from isaacgymenvs_lite.learning.cpu.parallel import NetworkExecutor
 from isaacgymenvs_lite.learning.ppo import PPOAgent
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 from isaacgymenvs_lite.runner import run
@@ -72,19 +73,21 @@ class FirstStep:
         self._patches = pytest.MonkeyPatch()
 
     def __enter__(self) -> FirstStep:
-        prepare, step_of_own = (
-            CommonAgent.prepare_minibatch,
-            CommonAgent.trancate_gradients_and_step,
-        )
+        calc, gradients_of = CommonAgent.calc_gradients, NetworkExecutor.gradients
+        step_of_own = CommonAgent.trancate_gradients_and_step
         train, step_of_ppo = PPOAgent.train_actor_critic, PPOAgent.trancate_gradients_and_step
 
-        def prepare_minibatch(agent: Any, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
+        def calc_gradients(agent: Any, minibatch: dict[str, Tensor]) -> Any:
             self._begin(agent, minibatch)
-            rows = prepare(agent, minibatch)
+            self._agent = agent
+            return calc(agent, minibatch)
+
+        def gradients(executor: Any, function: Any, rows: dict[str, Tensor], *others: Any) -> Any:
             if "rows" not in self.record:
                 self.record["rows"] = {k: v for k, v in rows.items() if v is not None}
-                self.record["counted"] = _copied(agent.get_stats_weights(model_stats=True))
-            return rows
+                counted = self._agent.get_stats_weights(model_stats=True)
+                self.record["counted"] = _copied(counted)
+            return gradients_of(executor, function, rows, *others)
 
         def train_actor_critic(agent: Any, minibatch: dict[str, Tensor]) -> Any:
             self._begin(agent, minibatch)
@@ -103,7 +106,8 @@ class FirstStep:
 
             return trancate_gradients_and_step
 
-        self._patches.setattr(CommonAgent, "prepare_minibatch", prepare_minibatch)
+        self._patches.setattr(CommonAgent, "calc_gradients", calc_gradients)
+        self._patches.setattr(NetworkExecutor, "gradients", gradients)
         self._patches.setattr(PPOAgent, "train_actor_critic", train_actor_critic)
         name = "trancate_gradients_and_step"
         self._patches.setattr(CommonAgent, name, recorded(step_of_own))

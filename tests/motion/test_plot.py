@@ -8,8 +8,6 @@ from isaacgymenvs_lite.motion import plot
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
 
-pytest.importorskip("matplotlib")
-
 
 def test_a_plot_is_written(tmp_path):
     out = tmp_path / "walk.png"

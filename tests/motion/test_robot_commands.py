@@ -288,7 +288,6 @@ def test_a_strip_of_a_robots_clip() -> None:
 
 
 def test_a_plot_of_a_robots_clip(g1: Skeleton, g1_joints: JointClip) -> None:
-    pytest.importorskip("matplotlib")
     assert plot.main(["g1_walk", G1, "out=walk.png"]) == 0
     assert Path("walk.png").read_bytes().startswith(b"\x89PNG")
     save_robot_npz("walk.npz", g1_joints)

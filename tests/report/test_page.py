@@ -16,8 +16,6 @@ from isaacgymenvs_lite.report.page import charts_of, write_report
 from isaacgymenvs_lite.report.scalars import read_scalars
 from tests.report.conftest import AMP, CONFIG
 
-pytest.importorskip("matplotlib")
-
 
 class Page(HTMLParser):
     """What a page consists of."""
