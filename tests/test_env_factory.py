@@ -132,7 +132,7 @@ def test_clips_of_the_armed_humanoid_that_are_missing_have_a_way_out(ase: Path) 
     )
     with pytest.raises(MotionFileError, match=r"^task.env.motion_file: .*deepmimic:walk") as found:
         clip_of(tree(ase, *armed, train="HumanoidASEPPO"))
-    words = shlex.split(str(found.value).partition("without: ")[2])
+    words = shlex.split(str(found.value).partition("without weapons: ")[2])
     assert clip_of(tree(ase, *armed, *words, train="HumanoidASEPPO")).endswith("locomotion.yaml")
 
 

@@ -509,7 +509,7 @@ def test_a_full_disk_does_not_end_the_training(in_tmp, walk_clip, monkeypatch, c
     # What the closing line says finds the file.
     with caplog.at_level(logging.INFO):
         run(tiny(walk_clip, "test=True", "checkpoint=last", f"+{CONFIG}.player.games_num=4"))
-    assert "checkpoint=last takes a rescued checkpoint" in caplog.text
+    assert "checkpoint=last uses the rescued checkpoint" in caplog.text
     assert "played 4 episodes" in caplog.text
 
 
@@ -519,7 +519,7 @@ def test_a_run_that_can_save_nothing_is_a_mistake(in_tmp, walk_clip, monkeypatch
 
     monkeypatch.setattr("tempfile.tempdir", str(in_tmp))
     monkeypatch.setattr(torch, "save", fail)
-    with pytest.raises(CheckpointError, match=r"nothing of this training is saved.*train_dir="):
+    with pytest.raises(CheckpointError, match=r"this training has no checkpoint.*train_dir="):
         run(tiny(walk_clip, "max_iterations=1"))
     (folder,) = (in_tmp / "runs").iterdir()
     assert list(folder.glob("summaries/events.*"))  # the curve stays

@@ -98,7 +98,7 @@ def test_mistakes_end_in_one_line_and_exit_code_2(call: Call, runner, capsys):
         (["--cfg", "job", "num_env=1"], "error: unknown key 'num_env'"),
         (
             ["train=~nosuchuser/x.yaml"],
-            "error: ~nosuchuser/x.yaml: no home folder of '~nosuchuser'",
+            "error: ~nosuchuser/x.yaml: the home folder of '~nosuchuser'",
         ),
     ]:
         assert call(*arguments) == train.EXIT_USER_ERROR

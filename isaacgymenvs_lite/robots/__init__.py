@@ -1,4 +1,4 @@
-"""Robots of users: reads any MJCF or URDF and adds what a task needs, without changing the file.
+"""Reads a user's robot (MJCF or URDF) and adds what a task needs, without changing the file.
 
-Start with `load_robot` in load.py.
+Start reading with `load_robot` in load.py.
 """

@@ -1,4 +1,4 @@
-"""Position drives of a robot's joints: one actuator per degree of freedom, in their order."""
+"""Chooses position drives for a robot's joints, one actuator for each degree of freedom."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from isaacgymenvs_lite.errors import ConfigError, suggest
 from isaacgymenvs_lite.robots.limbs import ancestors
 from isaacgymenvs_lite.robots.settings import DriveSettings
 
-# Nm/rad of a Nm of effort: full effort at an error of a quarter of a radian.
+# kp in Nm/rad for each Nm of effort. A drive reaches its effort at an error of 0.25 rad.
 _KP_OF_EFFORT = 4.0
-# s, kd of kp: the lag of a drive behind its target. With 0.1 s a robot learns to walk far later. It
-# is more than a simulation step, which keeps light links from oscillating.
+# kd / kp in s, the lag of a drive. A robot with 0.1 s learns to walk far later. The lag is longer
+# than a simulation step, so that light links do not oscillate.
 _KD_OF_KP = 0.03
-# kg m^2 of rotor and gears for a Nm of effort, where a file has none. A G1's motors of 25, 50, 88
-# and 139 Nm have 1.4e-4, 1.4e-4, 1.2e-4 and 1.8e-4. Without it a motor at its limit spins a light
-# shank up within a simulation step.
+# Inertia of rotor and gears in kg m^2 for each Nm of effort, if the file has none. A G1's motors of
+# 25, 50, 88 and 139 Nm have 1.4e-4, 1.4e-4, 1.2e-4 and 1.8e-4. Without this inertia a motor at its
+# limit accelerates a light shank too much within a simulation step.
 _ARMATURE_OF_EFFORT = 1.5e-4
-# Motors of simulated robots may have any effort. What exceeds this share of weight times height
-# adds nothing to the gains; a G1's knees have 0.56.
+# Largest effort that increases the gains, as a share of weight times height, because the efforts of
+# simulated robots may be arbitrary. A G1's knees have 0.56.
 _MOST_OF_WEIGHT = 0.6
-# Unknown efforts, likewise. A G1 has 0.35 at the hips and 0.2 at the ankles.
+# Share of weight times height for an unknown effort. A G1 has 0.35 at hips and 0.2 at ankles.
 _EFFORT_OF_WEIGHT = 0.35
-# rad/s^2, which keeps fingers from the efforts of legs. It is no limit of a joint above the ground,
-# which moves the robot over its foot: a light foot would leave an ankle without any effort.
+# In rad/s^2. The limit keeps light fingers from efforts of legs. It does not apply to the joints of
+# standing legs, because a light foot would leave the ankle without effort.
 _MAX_ACCELERATION = 5000.0
-# What the typical drive would answer to an action of 1, in its efforts. The noise of AMP's policies
-# (0.055) is then about a fifth of an effort; twice as much threw a quadruped over.
+# Torque of the median drive for an action of 1, as a multiple of its effort. The noise of AMP's
+# policies (0.055) is then about a fifth of an effort; twice as much made a quadruped fall.
 _EFFORTS_OF_AN_ACTION = 4.0
-# The same in weight times height, at least: the noise of weak motors would explore too little.
+# Lower limit of this torque in weight times height, because weak motors would explore too little.
 _WEIGHT_OF_AN_ACTION = 0.6
 _MAX_ACTION_RAD = 2.0
 
@@ -44,9 +44,10 @@ _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 @dataclass(frozen=True)
 class Motor:
-    """What a file says of a joint's motor: kp, kd and effort in the joint's units, or None.
+    """A joint's motor in a file: kp, kd and effort in the joint's units, None if unknown.
 
-    A joint that follows another one (`mimic`) has no motor: a drive would pull against the other.
+    A joint that follows another joint (`mimic`) has no motor, because its drive would pull against
+    the other joint.
     """
 
     kp: float | None = None
@@ -74,14 +75,16 @@ def choose_drives(
     where: str,
     contact_bodies: Sequence[str] = (),
 ) -> list[Drive]:
-    """Choose the gains of all hinges and balls: the user's, then the file's, then sensible ones.
+    """Choose the gains of all hinges and balls: the user's, else the file's, else an estimate.
 
-    Without any of the user's, a position actuator of the file gives kp and kd. Otherwise kp follows
-    from the effort of the joint or its motor, which else follows from the weight; kd from kp.
+    The file's kp and kd come from its position actuator. The estimate of kp follows from the effort
+    of the joint or its motor, or from the robot's weight if the effort is unknown; kd follows from
+    kp.
 
-    Raises ConfigError if a pattern matches no joint, or none of the patterns matches a joint.
+    Raises:
+        ConfigError: a pattern matches no joint, or no pattern matches a joint.
     """
-    # The bodies between those in contact and the root, both included.
+    # The bodies in contact, the root, and all bodies between them.
     carrying = {i for name in contact_bodies for i in ancestors(model, model.body(name).id)}
     joints = np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE).tolist()
     names = [model.joint(joint).name for joint in joints]
@@ -144,10 +147,10 @@ def _drive(
 
 
 def action_range(drives: Sequence[Drive], weight_moment: float) -> float:
-    """Return how far an action of 1 moves targets (rad), if the user does not say so.
+    """Return the offset of the targets (rad) for an action of 1, at most 2 rad.
 
-    The typical drive, the median of all, would answer with four times its effort, or with 0.6 of
-    weight times height if this is more. It is 2 rad at most.
+    The median drive would answer with four times its effort, or with 0.6 of weight times height if
+    that is more.
     """
     driven = [drive for drive in drives if drive.kp > 0]
     if not driven:
@@ -163,7 +166,7 @@ def _useful(effort: float, weight_moment: float) -> float:
 
 
 def motors_of_file(model: mujoco.MjModel) -> dict[str, Motor]:
-    """Return what a file's actuators and limits of joints say, by name of the joint."""
+    """Return the motors that a file describes by actuators and joint limits, by joint name."""
     of_joints = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
     followers = set(model.eq_obj1id[of_joints & (model.eq_obj2id >= 0)].tolist())
     return {model.joint(i).name: _motor(model, i, i in followers) for i in range(model.njnt)}
@@ -191,11 +194,11 @@ def _motor(model: mujoco.MjModel, joint: int, follows: bool) -> Motor:
 
 
 def add_drives(spec: mujoco.MjSpec, drives: Sequence[Drive]) -> None:
-    """Add one position actuator per degree of freedom, named as MuJoCo model layouts name these.
+    """Add one position actuator for each degree of freedom, with the names of `ModelLayout`.
 
-    Lengths of a ball joint's three are the components of its rotation vector in the child frame;
-    their `lengthrange` (rad) is what tasks take for the limits of the axes. Armatures and force
-    limits of the joints change, too.
+    The lengths of a ball joint's three actuators are the components of its rotation vector in the
+    child frame; tasks read the limits of the axes from `lengthrange` (rad). The function also sets
+    armatures and force limits of the joints.
     """
     for drive in drives:
         joint = spec.joint(drive.joint)
@@ -219,7 +222,7 @@ def _add_actuator(
     actuator = spec.add_actuator(name=name, target=drive.joint)
     actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
     actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
-    # The file's defaults would hold for these, too.
+    # The file's defaults would apply to the new actuators, too.
     actuator.dyntype, actuator.nsample = mujoco.mjtDyn.mjDYN_NONE, 0
     actuator.ctrllimited = actuator.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
     actuator.gainprm[:] = 0

@@ -1,7 +1,7 @@
-"""Hinges that follow others: URDF's <mimic> and MJCF's <equality><joint>.
+"""Computes joints that follow other joints: URDF's <mimic> and MJCF's <equality><joint>.
 
-The physics keeps such a hinge near its place; kinematics (start poses, clips, gaits, inverse
-kinematics) has to compute the angle from its leader's.
+The physics enforces these constraints. Kinematics (start poses, clips, gaits, inverse kinematics)
+computes the position of a follower from the position of its leader.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from isaacgymenvs_lite.errors import ConfigError
 
 _Floats = npt.NDArray[np.floating]
 TOLERANCE_RAD = 0.005
-"""Smaller deviations of a follower are not reported: files are rounded."""
+"""Smaller deviations of a follower are not reported, because files are rounded."""
 _LOOPS = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 
 
 @dataclass(frozen=True)
 class _Follower:
-    """A joint whose coordinate is a polynomial of its leader's: y - y0 = p(x - x0), as MuJoCo's.
+    """A joint whose position is a polynomial of its leader's: y - y0 = p(x - x0), as in MuJoCo.
 
-    `start` is y0, the joint's coordinate in the model's initial pose, and `leader_start` x0.
-    Without a leader the joint is held at y0 + p(0).
+    `start` is y0, the joint's position in the model's initial pose, and `leader_start` is x0. A
+    joint without a leader is held at y0 + p(0).
     """
 
     joint: int
@@ -36,11 +36,11 @@ class _Follower:
 
 
 class Followers:
-    """The joints of a compiled model that follow others; Q coordinates, V degrees of freedom.
+    """The followers of a compiled model with Q coordinates and V degrees of freedom.
 
     Raises:
-        ConfigError: an equality joins two bodies in a loop; a joint has two leaders, or joints
-            follow each other in a circle. The message names it.
+        ConfigError: an equality joins two bodies in a loop, a joint has two leaders, or joints
+            follow each other in a circle.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -65,7 +65,7 @@ class Followers:
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """The ids of the joints that follow others or are held."""
+        """The ids of the joints that follow other joints or are held."""
         return tuple(follower.joint for follower in self._in_order)
 
     @property
@@ -75,18 +75,18 @@ class Followers:
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """Where the coordinates of `joints` are in qpos."""
+        """The indices of `joints` in qpos."""
         return tuple(int(self._model.jnt_qposadr[joint]) for joint in self.joints)
 
     def placed(self, qpos: _Floats) -> npt.NDArray[np.float64]:
-        """Return poses (..., Q) in which the followers are where their leaders put them.
+        """Return poses (..., Q) with the followers' positions computed from their leaders'.
 
-        The coordinates of objects after the robot's may be left out.
+        The coordinates of objects, which come after the robot's, may be missing.
         """
         address = self._model.jnt_qposadr
         poses = np.array(qpos, dtype=np.float64)
         for follower in self._in_order:
-            moved = np.asarray(0.0)  # of a held joint: the polynomial's constant remains
+            moved = np.asarray(0.0)  # the polynomial of a held joint is its constant
             if follower.leader is not None:
                 moved = poses[..., address[follower.leader]] - follower.leader_start
             place = follower.start + follower.polynomial(moved)
@@ -94,10 +94,10 @@ class Followers:
         return poses
 
     def led(self, jacobian: _Floats, qpos: _Floats) -> npt.NDArray[np.float64]:
-        """Return a Jacobian (..., V) in which leaders' columns move their followers, too.
+        """Return a Jacobian (..., V) whose columns of leaders include their followers.
 
-        The given one, at the pose `qpos` (Q,), is of joints that move independently. The followers'
-        own columns become zero.
+        In the given Jacobian, at the pose `qpos` (Q,), all joints move independently. The columns
+        of followers become zero.
         """
         dofs, address = self._model.jnt_dofadr, self._model.jnt_qposadr
         columns = np.array(jacobian, dtype=np.float64)
@@ -111,7 +111,7 @@ class Followers:
 
 
 def _leaders_first(model: mujoco.MjModel, followers: dict[int, _Follower]) -> tuple[_Follower, ...]:
-    """Return the followers, each after its leader if the leader follows, too."""
+    """Return the followers in an order in which each comes after its leader."""
     placed: dict[int, _Follower] = {}
     while len(placed) < len(followers):
         ready = {
@@ -131,7 +131,7 @@ def _leaders_first(model: mujoco.MjModel, followers: dict[int, _Follower]) -> tu
 
 
 def _refuse_loop(model: mujoco.MjModel, equality: int) -> None:
-    """Refuse a constraint between two bodies that can move apart."""
+    """Refuse a constraint between two bodies that could move apart without it."""
     ids = (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
     if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
         ids = tuple(int(model.site_bodyid[site]) for site in ids)

@@ -1,4 +1,4 @@
-"""Walks over a robot's bodies: chains, the ends of its limbs, and what touches the floor."""
+"""Finds chains of a robot's bodies, the ends of its limbs, and the bodies that touch the floor."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from isaacgymenvs_lite.errors import ConfigError, suggest
 from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.robots.start_pose import CLEARANCE, lowest_points, posed
 
-# Ends nearer to each other's branch than this part of the robot's size are fingers of one hand.
+# Ends of one branch that are closer than this share of the robot's size are fingers of one hand.
 _HAND_OF_SIZE = 0.12
-# Above the lowest point, in m or as a share of the base's height: toes and heel of a jointed foot.
+# Bodies that are higher above the lowest point do not touch the floor; in m, or as a share of the
+# base's height. The tolerance covers toes and heel of a jointed foot.
 _TOUCH = 0.01
 _TOUCH_SHARE = 0.02
 
 
 def ancestors(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return a body's id, its parent's, and so on up to the root; the world is left out."""
+    """Return the ids of a body and of its ancestors up to the root, without the world."""
     chain = []
     while body > 0:
         chain.append(body)
@@ -30,7 +31,7 @@ def ancestors(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def free_joints(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
-    """Return the ids of the joints of bodies, body by body, without joints that follow others."""
+    """Return the ids of the joints of bodies, body by body, without followers."""
     first, count = model.body_jntadr, model.body_jntnum
     followers = Followers(model).joints
     joints = (int(first[body]) + i for body in bodies for i in range(count[body]))
@@ -38,7 +39,11 @@ def free_joints(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
 
 
 def bodies_named(model: mujoco.MjModel, names: Sequence[str], where: str) -> tuple[str, ...]:
-    """Return the bodies that names or patterns match, in their order, or raise a ConfigError."""
+    """Return the bodies that match names or patterns, in the order of the names.
+
+    Raises:
+        ConfigError: a name matches no body.
+    """
     choices = [model.body(body).name for body in range(1, model.nbody)]
     found: dict[str, None] = {}
     for name in names:
@@ -53,16 +58,16 @@ def bodies_named(model: mujoco.MjModel, names: Sequence[str], where: str) -> tup
 
 
 def limb_ends(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
-    """Return the last bodies of all limbs: hands, feet; a head or tail with joints of its own.
+    """Return the last bodies of all limbs: hands, feet, and a head or tail that has joints.
 
-    A limb is a chain with at least one joint. Of the bodies that are fixed to its last link
-    (rotors, shoulders, sensors, feet) the farthest one with a shape in the pose (Q,) is the end;
-    the fingers of a hand count as the hand.
+    A limb is a chain with at least one joint. Its end is the farthest body with a shape among the
+    bodies that are fixed to the last link (rotors, sensors, feet), in the pose (Q,). The fingers of
+    a hand count as the hand.
     """
     places = posed(model, qpos).xpos
     size = float(np.ptp(places[1:], axis=0).max())
     chains = [ancestors(model, body) for body in range(model.nbody)]
-    # A link's frame on a fixed joint may carry joints further down, a rotor's never does.
+    # A frame that is fixed to a link may carry joints, a rotor never does.
     carrying = {up for body in np.flatnonzero(model.body_jntnum) for up in chains[body]}
 
     def ends(body: int) -> list[int]:
@@ -83,9 +88,9 @@ def limb_ends(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
 
 
 def touching_bodies(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
-    """Return the bodies whose lowest points are near the robot's lowest one.
+    """Return the bodies whose lowest points are near the robot's lowest point.
 
-    Near is 1 cm, or 2 % of the base's height above the floor if this is more.
+    The tolerance is 1 cm, or 2% of the base's height above the floor if that is more.
     """
     data = posed(model, qpos)
     lows = lowest_points(model, data)

@@ -1,11 +1,11 @@
-"""From a user's robot file to a model that tasks, converters and viewers share.
+"""Makes a model for tasks, converters and viewers from a user's robot file.
 
     robot = load_robot("/robots/g1.xml", RobotSettings())
     for line in robot.describe():
         log.info(line)
     model = robot.model
 
-The file is read by reading.py; what it lacks is added to the MjSpec, and never to the file.
+`reading` reads the file. Missing parts are added to the MjSpec; the file does not change.
 """
 
 from __future__ import annotations
@@ -42,24 +42,24 @@ from isaacgymenvs_lite.robots.start_pose import (
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.utils.rotations import wxyz_from_xyzw
 
-_ABSURD = 10.0  # times weight and height of the robot: no motor is as strong
+_ABSURD = 10.0  # multiple of weight times height that no motor reaches
 
 
 @dataclass(frozen=True)
 class PreparedRobot:
     """A robot with a free root, drives, contact sensors and a floor."""
 
-    spec: mujoco.MjSpec  # for tasks that add more; compile it anew after a change
+    spec: mujoco.MjSpec  # tasks that add parts compile it again
     model: mujoco.MjModel  # `spec`, compiled
     layout: ModelLayout  # names and addresses of `model`
     drives: tuple[Drive, ...]  # of all hinges and ball joints, in the order of the joints
-    # Names of the bodies whose positions are observed, hands and feet mostly.
+    # Names of the bodies whose positions are observed, usually hands and feet.
     key_bodies: tuple[str, ...]
     contact_bodies: tuple[str, ...]  # names of the bodies that may touch the floor
     start_qpos: npt.NDArray[np.float64]  # (Q,) the start pose, on the floor at x = y = 0
     mass_height: float  # height (m) of the centre of mass above the floor in this pose
-    action_range_rad: float  # how far an action of 1 should move the drives' targets
-    notes: tuple[str, ...]  # what was added, left out and fixed, in words
+    action_range_rad: float  # offset of the drives' targets for an action of 1
+    notes: tuple[str, ...]  # sentences about added, removed and repaired parts
 
     @property
     def start_height(self) -> float:
@@ -68,15 +68,16 @@ class PreparedRobot:
 
     @property
     def trunk_height(self) -> float:
-        """Height of the trunk in the start pose (m): the base's, or the centre of mass's.
+        """Height of the trunk in the start pose (m).
 
-        The base of some files is a point on the ground, below half of the other.
+        It is the base's height. Some files have a base on the ground, below half of the centre of
+        mass; then it is the height of the centre of mass.
         """
         on_ground = self.start_height < 0.5 * self.mass_height
         return self.mass_height if on_ground else self.start_height
 
     def describe(self) -> list[str]:
-        """Return the lines for a user: what was taken and added."""
+        """Return lines about the robot and its drives for the user."""
         gains: dict[str, list[str]] = {}
         for drive in self.drives:
             key = f"{drive.kp:.4g} / {drive.kd:.3g} / {drive.effort:.4g}"
@@ -102,7 +103,7 @@ class PreparedRobot:
 def load_robot(
     path: str | Path, settings: RobotSettings | None = None, where: str = "robot"
 ) -> PreparedRobot:
-    """Read and prepare a robot's MJCF or URDF, as `read_robot_file` and `prepare_robot`.
+    """Read and prepare a robot's MJCF or URDF; see `read_robot_file` and `prepare_robot`.
 
     `where` is the path of the settings' section, for messages.
     """
@@ -119,16 +120,17 @@ def load_robot(
 def prepare_robot(
     spec: mujoco.MjSpec, settings: RobotSettings | None = None, where: str = "robot"
 ) -> PreparedRobot:
-    """Add what a task needs to a spec: free root, drives, contact sensors, floor, start pose.
+    """Add free root, drives, contact sensors, floor and start pose to a spec.
 
-    Raises ConfigError if it is no robot, several ones or one with loops, MuJoCo refuses it, names
-    or patterns of the settings match nothing, or a joint has no drive.
+    Raises:
+        ConfigError: the spec has no robot, several robots or a robot with loops; MuJoCo refuses it;
+            a name or pattern of the settings matches nothing; or a joint has no drive.
     """
     settings = settings or RobotSettings()
     notes = structure.name_everything(spec)
     notes += structure.check_equalities(spec)
     keys = _compile(spec)
-    Followers(keys)  # refuses loops, also with what is left out below
+    Followers(keys)  # refuses loops, before parts of them are removed
     motors = motors_of_file(keys)
     if spec.actuators:
         notes.append(f"replaced {len(spec.actuators)} actuators of the file by position drives")
@@ -144,7 +146,7 @@ def prepare_robot(
     notes += more
     patterns = read_drives(settings.drives, f"{where}.drives")
     mass_height = _mass_height(model, qpos)
-    # Weight times the height (Nm) of the base, or of the mass if this is higher.
+    # Weight times height (Nm) of the base, or of the centre of mass if it is higher.
     weight = float(model.body_subtreemass[0]) * 9.81
     moment = weight * max(start_height(model, qpos), mass_height)
     key_bodies, contacts, more = _key_bodies_and_contacts(model, qpos, settings, where)
@@ -157,7 +159,7 @@ def prepare_robot(
     notes.append("reused the file's floor" if spec.worldbody.geoms else "added a floor")
     structure.add_stage(spec)
     final = _compile(spec)
-    final.qpos0[3:7] = qpos[3:7]  # upright, which the rotations of its clips are compared with
+    final.qpos0[3:7] = qpos[3:7]  # the upright rotation, relative to which clips are checked
     return PreparedRobot(
         spec=spec,
         model=final,
@@ -175,9 +177,9 @@ def prepare_robot(
 def _start(
     keys: mujoco.MjModel, model: mujoco.MjModel, settings: RobotSettings, where: str
 ) -> tuple[npt.NDArray[np.float64], list[str]]:
-    """Return the start pose (Q,), and a note on one that is no keyframe and not the user's.
+    """Return the start pose (Q,), with a note if neither the user nor a keyframe gives the pose.
 
-    `keys` is the model of the robot's file with its keyframes, `model` has the free root.
+    `keys` is the model of the robot's file with its keyframes; `model` has the free root.
     """
     positions = initial_positions(keys, settings.start_pose, where)
     if settings.start_rotation is not None:
@@ -203,7 +205,7 @@ def _start(
 def _key_bodies_and_contacts(
     model: mujoco.MjModel, qpos: npt.NDArray[np.float64], settings: RobotSettings, where: str
 ) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
-    """Return the key bodies, the bodies in contact, and a note on a robot that seems to lie."""
+    """Return the key bodies, the bodies in contact, and a note if the robot seems to lie."""
     key_bodies = bodies_named(model, settings.key_bodies, f"{where}.keyBodies")
     contacts = bodies_named(model, settings.contact_bodies, f"{where}.contactBodies")
     contacts = contacts or touching_bodies(model, qpos)
@@ -217,7 +219,7 @@ def _key_bodies_and_contacts(
 
 
 def _absurd_efforts(drives: list[Drive], weight_moment: float) -> list[str]:
-    """Return a note on drives that are far stronger than the robot is heavy."""
+    """Return a note if drives are far too strong for the robot's weight."""
     strong = [drive for drive in drives if drive.effort > _ABSURD * weight_moment]
     if not strong:
         return []
@@ -230,7 +232,7 @@ def _absurd_efforts(drives: list[Drive], weight_moment: float) -> list[str]:
 
 
 def _rotors_added(model: mujoco.MjModel, drives: list[Drive]) -> list[str]:
-    """Return a note on joints whose file has no armature and whose drive has one."""
+    """Return a note on joints whose armature comes from the drive and not from the file."""
     without = [d for d in drives if model.dof_armature[model.joint(d.joint).dofadr[0]] == 0]
     added = [drive.armature for drive in without if drive.armature > 0]
     if not added:
@@ -250,7 +252,7 @@ def _mass_height(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> float:
 def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of attributes that MuJoCo will drop one day
+            warnings.simplefilter("ignore")  # deprecated attributes in a user's file
             return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise ConfigError(f"MuJoCo refuses the robot: {one_line(error)}") from error

@@ -1,7 +1,7 @@
 """Reads a robot's MJCF or URDF, which a stranger may have written, into an MjSpec.
 
-MuJoCo puts an MJCF and its includes together; one pass over their texts comes first, which refuses
-plugins and includes from elsewhere. Meshes and textures are read from the robot's folder alone.
+One pass over an MJCF and its includes refuses plugins and includes from other folders; then MuJoCo
+reads them. Meshes and textures are read from the robot's folder alone.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from isaacgymenvs_lite.errors import ConfigError, UserError, listed, one_line, p
 from isaacgymenvs_lite.paths import user_path
 
 MESH_SUFFIXES = (".stl", ".obj", ".msh")
-"""Formats that MuJoCo reads."""
-# The folder of such a name is a part of the robot's folder, as in ROS packages.
+"""Mesh formats that MuJoCo reads."""
+# A folder with one of these names is a part of the robot's folder, as in ROS packages.
 _PARTS_OF_A_ROBOT = ("urdf", "urdfs", "xml", "mjcf", "xacro")
 _MAX_LEVELS = 6
 
@@ -38,10 +38,12 @@ class RobotFiles:
         self._folders += [up for up in _upwards(folder) if (up / "package.xml").is_file()][:1]
 
     def find(self, name: str, folder: str = "", kind: str = "mesh") -> Path:
-        """Return the path of a file that the robot names: relative, absolute, or a package:// URI.
+        """Return the path of a file of the robot, given as a path or as a package:// URI.
 
-        `folder` is `meshdir` and the like, relative to the main file. Raises ConfigError if the
-        file is missing or outside of the robot's folder.
+        `folder` is for example `meshdir`, relative to the main file.
+
+        Raises:
+            ConfigError: the file is missing or outside of the robot's folder.
         """
         what = f"{self.path}: {kind} '{name}'"
         scheme, separator, rest = name.replace("\\", "/").partition("://")
@@ -53,9 +55,9 @@ class RobotFiles:
         return _find_below(self._folders, [self.path.parent / folder / scheme], what)
 
     def find_mesh(self, name: str, folder: str = "") -> Path:
-        """Return the path of a mesh, or of a file beside it that has it in another format.
+        """Return the path of a mesh in a format that MuJoCo reads.
 
-        For `foot.dae`, which MuJoCo does not read, it may be `foot.stl` or `foot.obj`.
+        `foot.stl` or `foot.obj` in the same folder replaces `foot.dae`, which MuJoCo does not read.
         """
         suffix = PurePosixPath(name).suffix
         stem = name.removesuffix(suffix)
@@ -73,14 +75,15 @@ class RobotFiles:
         )
 
     def find_include(self, name: str, of: Path) -> Path:
-        """Return the path of an included file: beside the main file, else beside `of`."""
+        """Return the path of an included file in the main file's folder, or else in `of`'s."""
         what = f'{self.path}: <include file="{name}">'
         return _find_below(self._folders, [self.path.parent / name, of.parent / name], what)
 
     def _in_packages(self, uri: str) -> tuple[list[Path], list[Path]]:
-        """Return where a file of `package://name/rest` may be, and the folders it may be below.
+        """Return possible paths of `package://name/rest`, and the folders that may contain them.
 
-        Files that were copied without their package are looked for as `rest` in the folders above.
+        Files may have been copied without their package, so `rest` is also searched in the folders
+        above.
         """
         name, _, rest = uri.lstrip("/").partition("/")
         ups = _upwards(self.path.parent)
@@ -92,20 +95,17 @@ class RobotFiles:
 
 
 def _upwards(folder: Path) -> list[Path]:
-    """Return a folder and those above it, some levels and never the whole disk."""
+    """Return a folder and a few folders above it, but not the root of the file system."""
     return [up for up in (folder, *folder.parents)[:_MAX_LEVELS] if up != up.parent]
 
 
 def _find_below(folders: Iterable[Path], tried: Iterable[Path], what: str) -> Path:
-    """Return the first of the paths `tried` that is a file below one of the folders.
-
-    Links are followed before the check.
-    """
+    """Return the first path of `tried` that is a file below one of the folders, without links."""
     folders, tried = list(folders), list(dict.fromkeys(tried))
     try:
         found = next((real for path in tried if (real := path.resolve()).is_file()), None)
     except (OSError, ValueError, RuntimeError) as error:  # a name too long, a circle of links
-        raise ConfigError(f"{what}: no path of a file ({one_line(error)})") from error
+        raise ConfigError(f"{what}: this is not a path ({one_line(error)})") from error
     if found is None:
         raise ConfigError(f"{what} is missing; looked for {', '.join(map(str, tried))}")
     if not any(found.is_relative_to(folder) for folder in folders):
@@ -120,13 +120,13 @@ def read_xml(path: Path) -> ET.Element:
     try:
         return ET.fromstring(path.read_bytes().strip(b" \t\r\n\0"))  # some tools end with a zero
     except (ET.ParseError, OSError, ValueError, LookupError) as error:
-        raise ConfigError(f"{path}: is no XML of a robot ({one_line(error)})") from error
+        raise ConfigError(f"{path} is not valid XML ({one_line(error)})") from error
 
 
 def mesh_content(path: Path) -> bytes:
-    """Return the content of a mesh file; STL in ASCII becomes the binary that MuJoCo reads."""
+    """Return the content of a mesh file; MuJoCo needs STL in ASCII to be converted to binary."""
     content = path.read_bytes()
-    # Some binary files begin with `solid`, too, but have no `vertex` so early.
+    # Some binary files also begin with `solid`, but the word `vertex` does not follow soon.
     is_text = content[:5].lower() == b"solid" and b"vertex" in content[:1000]
     if path.suffix.lower() != ".stl" or not is_text:
         return content
@@ -135,14 +135,14 @@ def mesh_content(path: Path) -> bytes:
         triangles = np.array(corners, dtype="S32").astype("<f4").reshape(-1, 9)
     except ValueError as error:
         raise ConfigError(f"{path}: not an STL file: {printable(str(error))}") from error
-    # A facet is its normal, which MuJoCo computes itself, three corners and two unused bytes.
+    # A facet has a normal, which MuJoCo computes itself, three corners and two unused bytes.
     facets = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", 9), ("_", "<u2")])
     facets["corners"] = triangles
     return bytes(80) + struct.pack("<I", len(facets)) + facets.tobytes()
 
 
 _LEAST_INERTIA = 1e-9  # kg m^2
-# Elements that load libraries or other models, or that describe no rigid robot.
+# These elements load libraries or other models, or describe soft bodies.
 _REFUSED = {
     **dict.fromkeys(("extension", "plugin"), "engine plugins are not loaded"),
     **dict.fromkeys(("composite", "flexcomp", "flex"), "soft bodies are no part of a robot"),
@@ -151,22 +151,23 @@ _REFUSED = {
 
 
 class RobotFile(NamedTuple):
-    """A robot as its file describes it, and what was left out, in words."""
+    """A robot as described by its file, with notes on removed parts."""
 
     spec: mujoco.MjSpec
     notes: tuple[str, ...]
 
 
 def read_robot_file(path: str | Path, with_sensors: bool = False) -> RobotFile:
-    """Read a robot's MJCF or URDF; its content decides between the formats.
+    """Read a robot's MJCF or URDF; the format is recognised by the content.
 
-    Meshes are read from the robot's folder: the file's own, the one above if the file's is called
-    urdf, xml or the like, and the ROS package that holds it. `package://name/` is the folder of
-    this name above the file or beside one above it. Sensors of an MJCF stay `with_sensors`, for a
-    task that reads them.
+    Meshes are read from the robot's folder: the folder of the file, the folder above it if the
+    file's folder is called urdf, xml or the like, and the ROS package of the file. `package://name/`
+    is a folder of this name above the file, or next to a folder above the file. `with_sensors`
+    keeps the sensors of an MJCF for a task that reads them.
 
-    Raises ConfigError, which names the file, if it or one that it names is missing or elsewhere,
-    has elements that a robot does not need, or MuJoCo refuses it.
+    Raises:
+        ConfigError: the file or a file that it names is missing or in another folder, has elements
+            that a robot does not need, or is refused by MuJoCo.
     """
     path = user_path(path)
     try:
@@ -181,8 +182,8 @@ def read_robot_file(path: str | Path, with_sensors: bool = False) -> RobotFile:
             notes = _leave_out(spec, with_sensors)
         else:
             raise ConfigError(
-                f"{path}: begins with <{root.tag[:40]}>; expected a robot as MJCF (<mujoco>) or"
-                " URDF (<robot>)"
+                f"{path} begins with <{root.tag[:40]}>; expected a robot as MJCF (<mujoco>) or URDF"
+                " (<robot>)"
             )
         notes += _take_meshes(spec, files, is_urdf)
         notes += _take_textures(spec, files)
@@ -198,7 +199,7 @@ def read_robot_file(path: str | Path, with_sensors: bool = False) -> RobotFile:
 
 
 def _check_texts(root: ET.Element, files: RobotFiles) -> None:
-    """Refuse plugins, models within models and includes from elsewhere, in all included texts."""
+    """Refuse plugins, nested models and includes from other folders, in all included files."""
     waiting, known = [(root, files.path)], {files.path}
     while waiting:
         root, file = waiting.pop()
@@ -213,7 +214,7 @@ def _check_texts(root: ET.Element, files: RobotFiles) -> None:
 
 
 def _leave_out(spec: mujoco.MjSpec, with_sensors: bool) -> list[str]:
-    """Remove what a robot does not need; return notes on sensors, skins and terrain."""
+    """Remove elements that a robot does not need; return notes on sensors, skins and terrain."""
     of_terrain = [geom for geom in spec.geoms if geom.hfieldname]
     for thing in [*of_terrain, *spec.numerics, *spec.texts, *spec.tuples]:
         spec.delete(thing)
@@ -242,7 +243,7 @@ def _leave_out(spec: mujoco.MjSpec, with_sensors: bool) -> list[str]:
 
 
 def _take_meshes(spec: mujoco.MjSpec, files: RobotFiles, is_urdf: bool) -> list[str]:
-    """Read all meshes into `spec.assets`; return a note on what a URDF only shows and lacks."""
+    """Read all meshes into `spec.assets`; return a note on missing visual meshes of a URDF."""
     assets, hidden = {}, list[str]()
     for mesh in [mesh for mesh in spec.meshes if mesh.file]:
         name = PurePosixPath(mesh.file.replace("\\", "/")).name if spec.strippath else mesh.file
@@ -268,7 +269,7 @@ def _take_meshes(spec: mujoco.MjSpec, files: RobotFiles, is_urdf: bool) -> list[
 
 
 def _take_textures(spec: mujoco.MjSpec, files: RobotFiles) -> list[str]:
-    """Read pictures of textures into `spec.assets`; return a note on those that are left out."""
+    """Read images of textures into `spec.assets`; return a note on textures that are left out."""
     assets, dropped = dict(spec.assets), []
     for texture in [one for one in spec.textures if one.file or any(one.cubefiles)]:
         name = texture.file.replace("\\", "/")
@@ -288,12 +289,12 @@ def _take_textures(spec: mujoco.MjSpec, files: RobotFiles) -> list[str]:
         material.textures = ["" if name in names else name for name in material.textures]
     for texture in dropped:
         spec.delete(texture)
-    what = "left out textures that are no PNG files of the robot"
+    what = "left out textures that are not PNG files in the robot's folder"
     return [f"{what}: {', '.join(names)}"] if names else []
 
 
 def _allow_open_meshes(spec: mujoco.MjSpec) -> None:
-    """Let meshes without volume be, where no inertia comes from them: MuJoCo refuses them."""
+    """Allow meshes without volume, which MuJoCo refuses, if no inertia is computed from them."""
     always = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     inertial = {
         geom.meshname
@@ -307,9 +308,9 @@ def _allow_open_meshes(spec: mujoco.MjSpec) -> None:
 
 
 def _prepare_urdf(root: ET.Element) -> list[str]:
-    """Set MuJoCo's compiler, and remove what other programs read (<gazebo>) and empty spheres.
+    """Set options of MuJoCo's compiler; remove <gazebo> elements and empty spheres.
 
-    A robot that only shows itself collides as it looks; returns a note on that.
+    The visual shapes of a robot without collision shapes collide; the function returns a note then.
     """
     root[:] = [child for child in root if child.tag in ("link", "joint", "material")]
     for link in root.iter("link"):
@@ -318,9 +319,9 @@ def _prepare_urdf(root: ET.Element) -> list[str]:
             if sphere is not None and not float(sphere.get("radius", 0)):
                 link.remove(shape)
     extension = ET.Element("mujoco")
-    # Links on fixed joints stay bodies: feet and hands of many robots are such.
+    # Links on fixed joints remain bodies, because feet and hands of many robots are fixed links.
     settings = {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}
-    # Links without mass are common in URDF, and inertias that no solid has.
+    # URDF files often have links without mass or with impossible inertias.
     least = {"boundmass": "1e-6", "boundinertia": f"{_LEAST_INERTIA:g}"}
     settings |= {"balanceinertia": "true", **least}
     ET.SubElement(extension, "compiler", settings)
@@ -329,15 +330,15 @@ def _prepare_urdf(root: ET.Element) -> list[str]:
         return []
     for visual in root.iter("visual"):
         visual.tag = "collision"
-    return ["no collision shapes in the file: what it shows collides"]
+    return ["the file has no collision shapes, so its visual shapes collide"]
 
 
 def _repair_inertias(spec: mujoco.MjSpec) -> list[str]:
-    """Make inertias positive that MuJoCo refuses, for it to balance; return a note on them."""
+    """Make inertias positive that MuJoCo would refuse; return a note on them."""
     repaired = []
     for body in spec.bodies:
         xx, yy, zz, xy, xz, yz = body.fullinertia
-        if not np.isfinite(body.fullinertia).all():  # MuJoCo's mark of a body without one
+        if not np.isfinite(body.fullinertia).all():  # NaN marks a body without an inertia
             continue
         moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if moments.min() > 0:

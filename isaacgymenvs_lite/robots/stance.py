@@ -1,7 +1,7 @@
-"""Bent legs for a robot of four or more legs whose file has no keyframe.
+"""Bends the legs of a robot with four or more legs whose file has no keyframe.
 
-Straight legs are a poor start: they push the trunk nowhere but up, and targets of the drives are
-offsets from it.
+The targets of the drives are offsets from the start pose. Straight legs would be a poor start pose,
+because they can only push the trunk upwards.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from isaacgymenvs_lite.robots.limbs import ancestors, free_joints, limb_ends, to
 from isaacgymenvs_lite.robots.start_pose import mesh_vertices, posed
 
 _LEAST_LEGS = 4
-# Of the straight leg, between hip and foot; the others where joints do not reach the first.
+# Distance from hip to foot as a share of the straight leg; the first that the joints can reach.
 _LENGTHS = (0.75, 0.8, 0.85, 0.9, 0.65, 0.55)
-_SHORTEST = 0.1  # of the leg's length: a shorter link is no thigh or shank
+_SHORTEST = 0.1  # share of the leg's length; a shorter link is not a thigh or shank
 _PARALLEL = 0.95  # cosine of the angle between the axes of a hip and its knee
 LATERAL = 0.7
-"""Share of a hinge's axis along y with which it swings a leg fore and aft."""
-_SPRAWLED_RAD = 0.7  # from the vertical: legs that stand like this are a spider's, and stay
+"""A hinge swings a leg forwards and backwards if its axis has at least this y component."""
+_SPRAWLED_RAD = 0.7  # legs at a larger angle to the vertical, as a spider's, are not bent
 
 Vector = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class _Leg:
-    """Two hinges with parallel level axes and the foot that they move, in the hip's plane.
+    """A leg of two hinges with parallel horizontal axes, and its foot.
 
-    Vectors are complex numbers in the plane that the hip swings the leg in: a turn about the hip's
-    axis adds to the angle. `hip` and `knee` are ids of hinges, `end` of the last body; thigh and
-    shank are in m, `down` is a unit vector. `knee_sign` is -1 if the knee's axis is opposed to the
-    hip's; `ahead` is how far the plane's two directions point along x.
+    Vectors are complex numbers in the plane in which the hip swings the leg, so that a turn about
+    the hip's axis adds to the angle. `hip` and `knee` are ids of hinges, `end` is the id of the
+    last body; thigh and shank are in m, `down` is a unit vector. `knee_sign` is -1 if the axes of
+    hip and knee have opposite directions. `ahead` are the x components of the plane's directions.
     """
 
     hip: int
@@ -55,11 +55,11 @@ class _Leg:
 def bend_legs(model: mujoco.MjModel, qpos: Vector) -> Vector | None:
     """Return the pose with each foot below its hip at 0.75 of the leg's length, or None.
 
-    Knees are behind where a leg can bend to both sides. The search starts from the pose `qpos`
-    (Q,). None: the robot has fewer than four legs, stands with them sprawled, one of them cannot do
-    so within the limits of its joints, or not all feet are on the floor then.
+    A knee that can bend to both sides bends backwards. The search starts from the pose `qpos` (Q,).
+    The result is None if the robot has fewer than four legs, if its legs are sprawled, if the
+    limits of a leg's joints prevent the pose, or if not all feet would be on the floor.
     """
-    # The limbs that touch the floor, or all limbs of a robot that lies on its trunk.
+    # Legs are the limbs that touch the floor, or all limbs of a robot that lies on its trunk.
     ends = [model.body(name).id for name in limb_ends(model, qpos)]
     touching = {model.body_weldid[model.body(name).id] for name in touching_bodies(model, qpos)}
     on_feet = [end for end in ends if model.body_weldid[end] in touching]
@@ -81,7 +81,10 @@ def bend_legs(model: mujoco.MjModel, qpos: Vector) -> Vector | None:
 
 
 def _leg(model: mujoco.MjModel, data: mujoco.MjData, end: int) -> _Leg | None:
-    """Return the leg of an end: its first hinge across x and the next one that is parallel."""
+    """Return the leg of an end body, or None.
+
+    The hip is the first hinge whose axis is not along x; the knee is the next parallel hinge.
+    """
     joints = free_joints(model, ancestors(model, end)[:-1][::-1])
     hinges = [joint for joint in joints if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE]
     swings = [joint for joint in hinges if abs(data.xaxis[joint, 1]) > LATERAL]
@@ -128,12 +131,12 @@ def _bent(model: mujoco.MjModel, qpos: Vector, leg: _Leg) -> tuple[float, float]
 
 
 def _angle(first: complex, second: complex) -> float:
-    """Return the angle of the turn from one vector to another, rad."""
+    """Return the angle (rad) from the first vector to the second."""
     return cmath.phase(second / first) if first != 0 else 0.0
 
 
 def _foot(model: mujoco.MjModel, data: mujoco.MjData, end: int, knee: Vector) -> Vector:
-    """Return the centre of the shape of a leg's end that is farthest from the knee, or its end."""
+    """Return the centre of the end body's farthest shape from the knee, or the body's origin."""
     places = list[Vector]()
     for geom in np.flatnonzero(model.geom_bodyid == end).tolist():
         kind, turn = model.geom_type[geom], data.geom_xmat[geom].reshape(3, 3)

@@ -1,4 +1,4 @@
-"""The pose in which a robot begins, put onto the floor."""
+"""Computes the pose in which a robot begins, on the floor."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.schema import plain
 
 CLEARANCE = 0.001
-"""m between the floor and the lowest point of a robot in its start pose."""
+"""Height in m of the lowest point of a robot above the floor in its start pose."""
 _STANDING = ("home", "stand", "standing", "default")
 
 _GEOM = mujoco.mjtGeom
@@ -24,11 +24,16 @@ _GEOM = mujoco.mjtGeom
 def initial_positions(
     model: mujoco.MjModel, pose: Any, where: str
 ) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the positions of all joints by name, in the pose that `RobotSettings` describes.
+    """Return the positions of all joints by name, in the pose of `RobotSettings`.
 
-    That is the name of a keyframe, angles by patterns of hinges, or None. `where` is its key, for
-    messages. Raises ConfigError if there is no such keyframe, a pattern matches no hinge, or an
-    angle is no number.
+    Args:
+        model: the model of the robot's file.
+        pose: the name of a keyframe, angles of hinges by patterns, or None.
+        where: key of the pose, for messages.
+
+    Raises:
+        ConfigError: the keyframe does not exist, a pattern matches no hinge, or an angle is not a
+            number.
     """
     if pose is None or isinstance(pose, str):
         return _joint_positions(model, _keyframe(model, pose or None, where))
@@ -53,7 +58,7 @@ def initial_positions(
 
 
 def _keyframe(model: mujoco.MjModel, name: str | None, where: str) -> int | None:
-    """Return the id of the keyframe for the start: the named, a standing or the first one."""
+    """Return the id of the named keyframe; without a name the id of a standing one or the first."""
     names = [model.key(key).name for key in range(model.nkey)]
     if name is not None:
         if name not in names:
@@ -64,7 +69,7 @@ def _keyframe(model: mujoco.MjModel, name: str | None, where: str) -> int | None
 
 
 def _joint_positions(model: mujoco.MjModel, key: int | None) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the positions of all joints by name, of a keyframe or of zero within the limits."""
+    """Return the positions of all joints by name: a keyframe's, or zero within the limits."""
     qpos = np.array(model.qpos0 if key is None else model.key_qpos[key])
     found = {}
     for joint, values in enumerate(np.split(qpos, model.jnt_qposadr[1:])):
@@ -81,10 +86,11 @@ def start_pose(
     positions: Mapping[str, npt.NDArray[np.float64]],
     height: float | None = None,
 ) -> npt.NDArray[np.float64]:
-    """Return the start pose (Q,) of a robot with a free root, at x = y = 0; followers follow.
+    """Return the start pose (Q,) of a robot with a free root at x = y = 0.
 
-    Joints without a position keep the model's initial one. A height (m) of the base's origin of
-    None puts the lowest point of the robot `CLEARANCE` above the floor.
+    Joints without a position keep their initial position in the model; followers follow their
+    leaders. The height is the base's in m; None puts the robot's lowest point `CLEARANCE` above the
+    floor.
     """
     qpos = np.array(model.qpos0)
     for joint in range(model.njnt):
@@ -103,16 +109,19 @@ def start_pose(
 def start_height(model: mujoco.MjModel, qpos: npt.ArrayLike) -> float:
     """Return the height of the base (m) at which the lowest point is `CLEARANCE` above z = 0.
 
-    The height in the pose (Q,) does not count. Raises ConfigError if no geom can touch anything.
+    The height in the pose (Q,) has no influence.
+
+    Raises:
+        ConfigError: no geom can touch anything.
     """
     lows = lowest_points(model, posed(model, qpos))
     if not lows:
-        raise ConfigError("no geom of the robot touches anything: contype and conaffinity are 0")
+        raise ConfigError("no geom of the robot can touch anything: contype and conaffinity are 0")
     return float(np.asarray(qpos)[2] - min(lows.values()) + CLEARANCE)
 
 
 def posed(model: mujoco.MjModel, qpos: npt.ArrayLike) -> mujoco.MjData:
-    """Return the kinematics of a model at a pose (Q,)."""
+    """Return the MjData of a model at a pose (Q,), after forward kinematics."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
@@ -120,7 +129,7 @@ def posed(model: mujoco.MjModel, qpos: npt.ArrayLike) -> mujoco.MjData:
 
 
 def lowest_points(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, float]:
-    """Return the least height (m) of each body's geoms that can touch others, by body number."""
+    """Return the lowest height (m) of each body's geoms that can touch others, by body id."""
     lows: dict[int, float] = {}
     for geom in geoms_that_touch(model):
         down = -data.geom_xmat[geom].reshape(3, 3)[2]  # the world's -z in the frame of the geom
@@ -144,7 +153,10 @@ def geoms_that_touch(model: mujoco.MjModel) -> list[int]:
 def reach_down(
     model: mujoco.MjModel, geom: int, down: npt.NDArray[np.floating]
 ) -> npt.NDArray[np.float64]:
-    """Return how far (...) m a geom reaches from its centre in directions (..., 3) of its frame."""
+    """Return the distances (...) in m from a geom's centre to its surface's farthest points.
+
+    The directions (..., 3) are in the geom's frame.
+    """
     size, kind = model.geom_size[geom], model.geom_type[geom]
     if kind == _GEOM.mjGEOM_CAPSULE:
         return size[0] + size[1] * np.abs(down[..., 2])

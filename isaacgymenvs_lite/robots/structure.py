@@ -1,4 +1,7 @@
-"""Makes one robot with a free root of what a file has: names, scenery, roots, slides, loops."""
+"""Turns the content of a file into one robot with a free root.
+
+Bodies and joints get names; scenery, mounts, slides and loops are removed or refused.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,8 @@ from isaacgymenvs_lite.simulation.model_layout import CONTACT_SENSOR_PREFIX
 
 _FREE, _SLIDE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_SLIDE
 _EQUALITY = mujoco.mjtEq
-_OVERLAP = 0.002  # m, by which bodies that touch in a start pose may overlap
-# Fields of a model, what they are, the largest that a robot may have, and its unit.
+_OVERLAP = 0.002  # largest overlap in m of bodies that touch in a start pose
+# Maps fields of a model to a description, the largest value of a robot, and its unit.
 _LARGEST = {
     "body_pos": ("position", 100.0, "m"),
     "body_quat": ("rotation", 1.01, "as a quaternion"),
@@ -35,7 +38,7 @@ _LARGEST = {
 
 
 def name_everything(spec: mujoco.MjSpec) -> list[str]:
-    """Name bodies `body3` and joints `joint3` that have no name; return notes."""
+    """Give nameless bodies and joints names like `body3` and `joint3`; return notes."""
     notes = []
     for kind, elements in (("body", spec.bodies[1:]), ("joint", spec.joints)):
         taken = {element.name for element in elements}
@@ -54,10 +57,14 @@ def _free_name(name: str, taken: Iterable[str]) -> str:
 
 
 def keep_one_robot(spec: mujoco.MjSpec) -> tuple[mujoco.MjsBody, list[str]]:
-    """Remove all but the robot and return its root, with notes; ConfigError without one robot.
+    """Remove everything except the robot; return its root, and notes.
 
     Scenery (bodies without joints, all geoms of the world) and objects (free bodies without
-    children) go. A plane of the world stays if it is the floor, as contact pairs may name it.
+    children) are removed. A plane of the world stays if it is the floor, because contact pairs may
+    name it.
+
+    Raises:
+        ConfigError: the file has no robot or several robots.
     """
     roots = [body for body in spec.worldbody.bodies if not body.mocap and _moves(body)]
     robots = [body for body in roots if body.bodies or not _is_free(body)] or roots
@@ -74,9 +81,9 @@ def keep_one_robot(spec: mujoco.MjSpec) -> tuple[mujoco.MjsBody, list[str]]:
     notes = []
     if others or scenery:
         things = [body.name for body in others] + [geom.name or "a geom" for geom in scenery]
-        notes.append(f"left out what is no part of the robot: {listed(things)}")
+        notes.append(f"left out what does not belong to the robot: {listed(things)}")
     name = robots[0].name
-    # Cameras and lights may follow what goes.
+    # Cameras and lights may follow removed bodies.
     for thing in [*others, *scenery, *spec.cameras, *spec.lights]:
         spec.delete(thing)
     return spec.body(name), notes
@@ -93,8 +100,10 @@ def _is_free(body: mujoco.MjsBody) -> bool:
 def free_root(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> list[str]:
     """Give the root a free joint if it has none; return notes.
 
-    Slides at the root emulate a base that moves in a plane: they and the hinges beside them go.
-    Raises ConfigError if the robot is mounted on the world by a hinge or a ball joint.
+    A root with slides emulates a base that moves in a plane, so its slides and hinges are removed.
+
+    Raises:
+        ConfigError: a hinge or a ball joint connects the robot to the world.
     """
     if _is_free(root):
         return []
@@ -102,8 +111,8 @@ def free_root(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> list[str]:
     names = listed([joint.name for joint in joints])
     if joints and all(joint.type != _SLIDE for joint in joints):
         raise ConfigError(
-            f"is mounted on the world by {names} of body '{root.name}'; expected a base that moves:"
-            " put the joint into a body below a base"
+            f"{names} of body '{root.name}' connects the robot to the world; expected a free base:"
+            " move the joint to a body below the base"
         )
     _remove_joints(spec, joints)
     root.add_freejoint(name=_free_name("root", {joint.name for joint in spec.joints}))
@@ -112,7 +121,7 @@ def free_root(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> list[str]:
 
 
 def fix_slides(spec: mujoco.MjSpec) -> list[str]:
-    """Remove slides: their bodies stay where the file draws them; return notes."""
+    """Remove slides, so that their bodies keep their places in the file; return notes."""
     slides = [joint for joint in spec.joints if joint.type == _SLIDE]
     names = [joint.name for joint in slides]
     _remove_joints(spec, slides)
@@ -120,7 +129,7 @@ def fix_slides(spec: mujoco.MjSpec) -> list[str]:
 
 
 def _remove_joints(spec: mujoco.MjSpec, joints: list[mujoco.MjsJoint]) -> None:
-    """Remove joints and what refers to them: actuators, constraints, tendons."""
+    """Remove joints with their actuators, constraints and tendons."""
     names = {joint.name for joint in joints}
     tendons = [
         tendon
@@ -134,13 +143,13 @@ def _remove_joints(spec: mujoco.MjSpec, joints: list[mujoco.MjsJoint]) -> None:
         if equality.name1 in gone or (equality.name2 in gone and not of_joints):
             things.append(equality)
         elif equality.name2 in gone:
-            equality.name2 = ""  # its leader no longer moves: hold the follower
+            equality.name2 = ""  # hold the follower, because its leader is removed
     for thing in [*things, *tendons, *joints]:
         spec.delete(thing)
 
 
 def check_equalities(spec: mujoco.MjSpec) -> list[str]:
-    """Remove constraints that are off or hold the robot in the world; return notes on others."""
+    """Remove constraints that are inactive or hold the robot in the world; return notes."""
     notes = []
     for equality in list(spec.equalities):
         names = [name for name in (equality.name1, equality.name2) if name]
@@ -156,19 +165,23 @@ def check_equalities(spec: mujoco.MjSpec) -> list[str]:
             notes.append(f"tendon '{names[0]}' is constrained")
         elif len(names) < 2:
             spec.delete(equality)
-            notes.append(f"released '{names[0] if names else '?'}', which was held in the world")
+            notes.append(f"released '{names[0] if names else '?'}', which was fixed in the world")
     return notes
 
 
 def check_numbers(model: mujoco.MjModel) -> None:
-    """Raise a ConfigError for numbers that no robot has, or that are none: MuJoCo compiles them."""
+    """Refuse values that are NaN or too large for a robot, which MuJoCo would accept.
+
+    Raises:
+        ConfigError: a value is NaN or exceeds its limit.
+    """
     rows = {"body": model.body, "geom": model.geom, "joint": model.joint}
     for field, (quantity, most, unit) in _LARGEST.items():
         values = np.atleast_2d(getattr(model, field).T).T
         largest = np.abs(values).max(axis=1, initial=0.0)
         prefix = field.partition("_")[0]
         kind = {"jnt": "joint", "dof": "joint"}.get(prefix, prefix)
-        for row in np.flatnonzero(~(largest <= most)).tolist():  # NaN is among them
+        for row in np.flatnonzero(~(largest <= most)).tolist():  # the comparison also finds NaN
             owner = rows[kind](model.dof_jntid[row] if prefix == "dof" else row)
             raise ConfigError(
                 f"{kind} '{printable(owner.name)}' has the {quantity} {largest[row]:.3g}"
@@ -181,8 +194,8 @@ def part_overlapping_bodies(
 ) -> list[str]:
     """Exclude contacts of bodies that overlap in the start pose (Q,); return notes.
 
-    MuJoCo takes the convex hulls of meshes, in which a trunk often holds the thighs. `model` is
-    `spec`, compiled.
+    MuJoCo uses the convex hulls of meshes, and a trunk's hull often contains the thighs. `model` is
+    the compiled `spec`.
     """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -196,14 +209,13 @@ def part_overlapping_bodies(
     for one, other in pairs:
         spec.add_exclude(bodyname1=one, bodyname2=other)
     together = listed([f"{one} and {other}" for one, other in pairs])
-    return [f"overlap in the start pose and do not touch: {together}"] if pairs else []
+    return [f"no contacts between bodies that overlap at the start: {together}"] if pairs else []
 
 
 def add_contact_sensors(spec: mujoco.MjSpec) -> None:
-    """Add `contact_<body>` of every body: the net force in world axes (N) of what does not move.
+    """Add a sensor `contact_<body>` for every body: the net force (N, world axes) of the floor.
 
-    Bodies of a robot touch each other often, thighs in turning or hands at the hips; only the
-    force of the floor and its like shows a fall.
+    Contacts between the robot's own bodies do not count, because they are frequent and no falls.
     """
     for sensor in [s for s in spec.sensors if s.name.startswith(CONTACT_SENSOR_PREFIX)]:
         spec.delete(sensor)
@@ -223,10 +235,10 @@ _COPIED_OF_FLOOR = ("pos", "quat", "size", "condim", "friction", "material", "gr
 
 
 def add_stage(spec: mujoco.MjSpec) -> None:
-    """Add floor, light and solver settings of the project's models; a floor of the file is reused.
+    """Add the floor, light and solver settings of this project's models.
 
-    The robot's own cone, impratio and contact parameters stay. The floor is called `floor`, is at z
-    = 0 and collides with every geom of the robot that can collide.
+    The robot's own cone, impratio and contact parameters stay. A floor of the file is reused. The
+    floor is called `floor`, is at z = 0 and collides with every geom of the robot that can collide.
     """
     stage = mujoco.MjSpec.from_string(
         '<mujoco model="stage"><include file="stage.xml"/></mujoco>',
@@ -237,14 +249,14 @@ def add_stage(spec: mujoco.MjSpec) -> None:
     own = next(iter(spec.worldbody.geoms), None)
     bits = [(geom.contype, geom.conaffinity) for geom in spec.geoms]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of files of meshes, which the stage does not have
+        warnings.simplefilter("ignore")  # the stage has no mesh files
         spec.attach(stage, frame=spec.worldbody.add_frame(), prefix=_PREFIX)
     floor = spec.geom(f"{_PREFIX}floor")
     if own is not None:
         for name in _COPIED_OF_FLOOR:
             setattr(own, name, getattr(floor, name))
         spec.delete(floor)
-        for pair in spec.pairs:  # before the rename: they name the floor
+        for pair in spec.pairs:  # pairs use the floor's old name
             pair.geomname1 = "floor" if pair.geomname1 == own.name else pair.geomname1
             pair.geomname2 = "floor" if pair.geomname2 == own.name else pair.geomname2
         floor = own
@@ -264,7 +276,7 @@ def _take_options(spec: mujoco.MjSpec, stage: mujoco.MjSpec) -> None:
 
 
 def _copy_fields(source: Any, target: Any) -> None:
-    """Copy all numbers of a nested MuJoCo structure."""
+    """Copy all values of a nested MuJoCo structure."""
     for name in (name for name in dir(source) if not name.startswith("_")):
         value = getattr(source, name)
         if isinstance(value, (int, float)):

@@ -1,1 +1,1 @@
-"""Physics: the only package that steps a simulator. Tasks read and write batched tensors."""
+"""Steps the simulator; tasks read and write batched tensors."""

@@ -1,18 +1,18 @@
-"""The Protocol of a simulation backend, tensor by tensor, and `make_simulation`, which makes one.
+"""Defines the Protocol of a simulation backend, tensor by tensor, and makes a backend.
 
 A backend holds `num_envs` copies of one MuJoCo model. Tasks read and write float32 torch tensors
 on `device`, in Isaac Gym's layout: quaternions are xyzw, positions and velocities are in world
 axes relative to the environment's own origin, and the positions of a 3-DoF ball joint are its
 rotation vector (exponential map) in the child frame.
 
-The state tensors are preallocated and updated in place by `step` and by writes: keep the
-reference, copy what must outlive the next step. Only the tensors of bodies (`body_...`), joint
-forces and sensors are computed when they are read: read the property again after each step or
-write. A backend may keep each component of all environments together in memory (`cpu_batch` does):
-take `reshape` or `flatten`, not `view`.
+The state tensors are preallocated; `step` and writes update them in place. A caller may keep the
+reference, and copies values that must outlive the next step. The tensors of bodies (`body_...`),
+joint forces and sensors are different: they are computed when the property is read, so that it must
+be read again after each step or write. The memory need not be contiguous, because `cpu_batch` keeps
+each component of all environments together: use `reshape` or `flatten`, not `view`.
 
-Beside the robot a model may have objects: bodies without children, each on a free joint of its own,
-after all bodies of the robot in the file. Body and DOF tensors do not contain them.
+A model may have objects in addition to the robot. An object is a body without children on its own
+free joint, after all bodies of the robot in the file. Body and DOF tensors do not contain objects.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from isaacgymenvs_lite.utils.memory import check_memory
 class SimulationBackend(Protocol):
     """N simulations of one model: B bodies, D degrees of freedom, U actuators, K objects.
 
-    The B bodies are all but the world and the objects. The D degrees of freedom belong to
-    all joints but the free root joint and the objects', in file order; a ball joint counts three.
+    The world and the objects do not count as bodies. The D degrees of freedom belong to the joints
+    in file order, without the free joints of root and objects; a ball joint has three.
     """
 
     model: mujoco.MjModel
@@ -43,7 +43,7 @@ class SimulationBackend(Protocol):
     device: torch.device
 
     substeps: int
-    """Physics steps of one `step()`: one control step of the task."""
+    """Physics steps of one control step, which `step()` makes."""
 
     body_names: tuple[str, ...]
     """B names in the order of the body tensors."""
@@ -55,9 +55,9 @@ class SimulationBackend(Protocol):
     """K names in the order of the object tensors; none in models without objects."""
 
     root_states: Tensor
-    """(N, 13) position, rotation xyzw, linear and angular velocity of the free root body.
+    """(N, 13) position (m), rotation xyzw, linear (m/s) and angular velocity (rad/s) of the root.
 
-    All in world axes, of the body's origin; m, m/s, rad/s.
+    The values belong to the body's origin and are in world axes.
     """
 
     dof_pos: Tensor
@@ -67,36 +67,35 @@ class SimulationBackend(Protocol):
     """(N, D) rad/s (or m/s); child-frame angular velocity for ball joints."""
 
     contact_forces: Tensor
-    """(N, B, 3) net contact force on each body in world axes (N).
+    """(N, B, 3) net contact force (N) on each body in world axes in the last physics step.
 
-    Of the last physics step; zero for environments written since then.
+    It is zero for environments that were written since then.
     """
 
     object_states: Tensor
-    """(N, K, 13) as `root_states`, of the objects."""
+    """(N, K, 13) states of the objects, like `root_states`."""
 
     object_contact_forces: Tensor
-    """(N, K, 3) net contact force on each object in world axes (N).
+    """(N, K, 3) net contact force (N) on each object in world axes in the last physics step.
 
-    Of the last physics step; zero for objects written since then, and if the model has no
+    It is zero for objects that were written since then, and if the model has no
     `contact_<object>` sensors.
     """
 
     failed: Tensor
-    """(N,) bool: the simulation, the robot or an object, diverged in the last `step()`.
+    """(N,) bool, whether the simulation diverged in the last `step()`.
 
-    Its state was not finite or beyond what is physical: MuJoCo's warnings BADQPOS, BADQVEL and
-    BADQACC (an absolute value above 1e10), after which MuJoCo itself resets the simulation
-    without an error, or a speed above 1000 rad/s or m/s. It was reset to its default state; the
-    task ends the episode.
+    A simulation diverges if a speed exceeds 1000 rad/s or m/s, or if MuJoCo warns with BADQPOS,
+    BADQVEL or BADQACC (a value is not finite or above 1e10) and resets the simulation. It is reset
+    to its default state; the task ends the episode.
     """
 
     num_failures: int
-    """How often a simulation diverged since the start, all environments together."""
+    """Number of divergences of all environments since the start."""
 
     recordings: list[Recording]
-    """The last steps of the first few simulations that diverged; whoever takes them removes them,
-    which makes room for the next."""
+    """The last steps of the first few diverged simulations. The reader removes them from the list,
+    which makes room for others."""
 
     @property
     def dt(self) -> float:
@@ -125,32 +124,33 @@ class SimulationBackend(Protocol):
 
     @property
     def dof_forces(self) -> Tensor:
-        """(N, D) torques (Nm; N of slides) of actuators, springs and dampers on the joints.
+        """(N, D) torques (Nm) or forces (N) of actuators, springs and dampers on the joints.
 
-        Of the last physics step; zero for environments written since then. Ball joints: in the
-        child frame.
+        The values are from the last physics step and zero for environments that were written since
+        then. The torques of ball joints are in the child frame.
         """
         ...
 
     def sensor(self, *names: str) -> Tensor:
-        """Return what named sensors of the model measured in the last physics step, (N, k).
+        """Return the values (N, k) of named sensors of the model in the last physics step.
 
-        Zero for environments written since then. MuJoCo's units, and world axes unless the sensor
-        has a frame of its own; `contact` sensors measure the force that their first body exerts.
-        Sensors that are neighbours in the model, in this order, are read in one go.
+        The values are zero for environments that were written since then. They have MuJoCo's units
+        and are in world axes unless the sensor has its own frame. `contact` sensors measure the
+        force that their first body exerts. Reading is fastest if the sensors are neighbours in the
+        model, in this order.
         """
         ...
 
     def expand(self, field: str) -> npt.NDArray[Any]:
-        """Give a field of the model a value for each environment; return them, (N, ...), to write.
+        """Give each environment its own values of a model field; return them, (N, ...), to write.
 
-        The field is one of `MjModel`, or `opt.<field>` of its options. Poses of bodies and joints
-        (`body_pos`, `jnt_axis`, ...) must not be changed.
+        The field is a field of `MjModel` or `opt.<field>`. Poses of bodies and joints (`body_pos`,
+        `jnt_axis`, ...) must not be changed.
         """
         ...
 
     def update_constants(self, env_ids: npt.NDArray[np.integer]) -> None:
-        """Recompute what MuJoCo derives from fields such as masses, of `env_ids` (n,)."""
+        """Recompute the constants that MuJoCo derives from masses and the like, for envs (n,)."""
         ...
 
     def set_controls(self, controls: Tensor) -> None:
@@ -164,31 +164,32 @@ class SimulationBackend(Protocol):
     def write_state(
         self, env_ids: Tensor, root_states: Tensor, dof_pos: Tensor, dof_vel: Tensor
     ) -> None:
-        """Set n environments, each once, to root states (n, 13), positions and velocities (n, D).
+        """Set n different environments to root states (n, 13), DOF positions and velocities (n, D).
 
-        Their objects go back to their places in the model, at rest. All memory of the earlier state
-        (warm start, controls, contact forces) is cleared; the other environments are left
-        bit-identical.
+        Their objects return to their places in the model, at rest. Everything that depends on the
+        earlier state (warm start, controls, contact forces) is cleared. The other environments do
+        not change by a bit.
         """
         ...
 
     def write_object_states(self, env_ids: Tensor, object_ids: Tensor, states: Tensor) -> None:
-        """Set k objects (places in `object_names`) of n environments to states (n, k, 13).
+        """Set k objects (indices of `object_names`) of n environments to states (n, k, 13).
 
-        Ids are given once, in any order. The rest of these environments, the robot included, and
-        the other environments are left bit-identical. The solver's warm start of these environments
-        is cleared, so that the next steps depend on their states and controls alone.
+        Ids must be unique; their order is free. Everything else in these environments and the other
+        environments does not change by a bit. The solver's warm start of these environments is
+        cleared, so that the next steps depend on their states and controls alone.
         """
         ...
 
     def state_dict(self) -> dict[str, Any]:
-        """Return copies of all that the next steps depend on, for `load_state_dict`."""
+        """Return copies of all values on which the next steps depend, for `load_state_dict`."""
         ...
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `state_dict` returned, bit by bit, in simulations of an equal model.
+        """Restore the result of `state_dict`; simulations of an equal model go on bit by bit.
 
-        A state of other simulations raises KeyError, TypeError, ValueError or RuntimeError.
+        Raises:
+            KeyError, TypeError, ValueError, RuntimeError: the state belongs to other simulations.
         """
         ...
 
@@ -198,9 +199,9 @@ class SimulationBackend(Protocol):
 
 
 def bytes_of_env(model: mujoco.MjModel) -> int:
-    """Return how many bytes one simulation of a model takes at least, in any backend."""
+    """Return the smallest number of bytes of one simulation of a model in any backend."""
     state = mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_INTEGRATION))
-    # Isaac Gym's layout: root, joints, and position, rotation, velocities and force of each body.
+    # Isaac Gym's layout has root, joints, and pose, velocities and force of each body.
     floats = 13 + 2 * model.nv + 16 * (model.nbody - 1)
     return 8 * state + 4 * floats
 
@@ -218,8 +219,8 @@ def make_simulation(
         model: the compiled model.
         num_envs: number of simulations.
         substeps: physics steps of one control step.
-        num_threads: CPU worker threads; 0 for as many CPUs as have enough work.
-        backend: `cpu_batch`, the only one so far.
+        num_threads: CPU worker threads; 0 means as many CPUs as have enough work.
+        backend: `cpu_batch`, which is the only backend.
     """
     from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
 

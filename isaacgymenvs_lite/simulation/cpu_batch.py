@@ -1,9 +1,8 @@
-"""Physics on the CPU: `mujoco.batch.Batch` behind the backend Protocol.
+"""Implements the backend Protocol by `mujoco.batch.Batch`, on the CPU.
 
-The batch keeps float64 rows; each step converts what tasks read into preallocated float32 tensors
-once. Poses and velocities of the bodies, which not all tasks need, are computed on first use after
-a step, by `kinematics`: the batch would run MuJoCo's whole stages of positions and velocities for
-them, which is several times the work.
+The batch keeps float64 rows; each step converts them once into the preallocated float32 tensors
+that tasks read. Poses and velocities of the bodies, which not all tasks need, are computed by
+`utils.kinematics` when a task reads them. MuJoCo's own stages would do several times the work.
 """
 
 from __future__ import annotations
@@ -36,15 +35,15 @@ from isaacgymenvs_lite.utils.threads import thread_count
 log = logging.getLogger(__name__)
 
 _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
-# MuJoCo itself resets a simulation with one of these warnings to its default state.
+# MuJoCo resets a simulation to its default state after one of these warnings.
 _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
-# A joint faster than this (rad/s or m/s) means that the simulation diverges;
-# PhysX stopped such bodies at 100 rad/s.
+# A simulation with a faster joint (rad/s or m/s) counts as diverged. PhysX limits bodies to 100
+# rad/s.
 MAX_SPEED = 1000.0
-# Waking a thread takes some 10 us, and 100 us on a busy machine: less work is not worth one.
+# Waking a thread takes some 10 us, on a busy machine 100 us, so that less work is not worth it.
 _WORK_PER_THREAD_S = 50e-6
 _TIMED_STEPS = 5
-# Recordings that wait for somebody to take them.
+# Recordings that nobody has taken yet.
 _MAX_RECORDINGS = 8
 # Attributes that share the batch's own memory.
 _VIEWS = (
@@ -55,7 +54,7 @@ _VIEWS = (
 
 
 class CpuBatchSimulation:
-    """N simulations of one model on a thread pool; arguments as of `make_simulation`.
+    """N simulations of one model on a thread pool; see `make_simulation` for the arguments.
 
     Results do not depend on the number of threads.
     """
@@ -138,7 +137,7 @@ class CpuBatchSimulation:
         self.object_states = as_tensor(buffers.object_states)
         self.object_contact_forces = as_tensor(buffers.object_contact_forces)
         self.failed = torch.zeros(self.num_envs, dtype=torch.bool)
-        # Environments written since the last step: nothing was measured there yet.
+        # Environments that were written since the last step have no measurements yet.
         self._written = np.zeros(self.num_envs, dtype=bool)
         self._speeds = [buffers.velocities]
         if self.object_names:
@@ -153,7 +152,7 @@ class CpuBatchSimulation:
     def batch(self) -> Batch:
         """MuJoCo's batch of simulations, for tests and debugging; RuntimeError after `close`.
 
-        After a change of its state the tensors are current again after the next step.
+        If a caller changes its state, the tensors are current again after the next step.
         """
         if self._batch is None:
             raise RuntimeError("the simulation was closed; make a new task to go on")
@@ -193,14 +192,14 @@ class CpuBatchSimulation:
         """(N, D) torques of actuators, springs and dampers; see `SimulationBackend.dof_forces`."""
         batch = self.batch
         if self._force_rows is None:
-            # Bound at the first use: from then on the batch copies them out at every step.
+            # The batch copies these values out at every step after their first use.
             self._force_rows = [batch.bind("qfrc_actuator"), batch.bind("qfrc_passive")]
         dofs = slice(self.layout.dof_vel_adr, self.layout.num_qvel)
         actuators, passive = (rows[:, dofs] for rows in self._force_rows)
         return self._measured(actuators + passive)
 
     def sensor(self, *names: str) -> Tensor:
-        """Return (N, k) what sensors measured; see `SimulationBackend.sensor`."""
+        """Return the values (N, k) of sensors; see `SimulationBackend.sensor`."""
         _ = self.batch  # raises after `close`
         columns = self.layout.sensor_columns
         for name in names:
@@ -262,7 +261,7 @@ class CpuBatchSimulation:
         """Reset diverged simulations to the default state, flag and count them."""
         diverged = np.zeros(self.num_envs, dtype=bool)
         for speeds in self._speeds:
-            # Testing each environment is slow: only if some number is too large or NaN.
+            # Testing each environment is slow and happens only if a value is too large or NaN.
             if not -MAX_SPEED <= speeds.min() <= speeds.max() <= MAX_SPEED:
                 diverged |= (np.abs(speeds) > MAX_SPEED).any(axis=0)
         if raised is not None:
@@ -282,7 +281,7 @@ class CpuBatchSimulation:
         self._refresh_rows(rows, self._qpos_rows[rows], self._qvel_rows[rows])
 
     def _record(self, rows: np.ndarray) -> None:
-        """Keep the last steps of the first few of the diverged simulations (n,)."""
+        """Keep the last steps of the first few diverged simulations (n,)."""
         room = _MAX_RECORDINGS - len(self.recordings)
         model_id = model_identity(self.model) if room > 0 else ""
         for row in rows[:room].tolist():
@@ -300,7 +299,7 @@ class CpuBatchSimulation:
         if len(rows) == 0:
             return
         qpos, qvel = self._converter.rows(root_states, dof_pos, dof_vel)
-        # As Batch.reset, without its work per simulation: the next step starts from the row.
+        # Writing the row, from which the next step starts, is faster than Batch.reset.
         self._state_rows[rows] = self._default_state
         self._qpos_rows[rows] = qpos
         self._qvel_rows[rows] = qvel
@@ -329,14 +328,14 @@ class CpuBatchSimulation:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """See `SimulationBackend.load_state_dict`."""
         if "forces.0" in state:
-            _ = self.dof_forces  # binds them
+            _ = self.dof_forces  # allocates the rows
         memory = self._memory()
         for name, rows in memory.items():
             stored = state[name].numpy()
             if stored.shape != rows.shape or stored.dtype != rows.dtype:
                 raise ValueError(f"{name} of the simulation: {stored.shape}, expected {rows.shape}")
         for name, rows in memory.items():
-            measured = not rows.flags.writeable  # by the batch, which writes it at every step
+            measured = not rows.flags.writeable  # the batch writes these rows at every step
             if measured:
                 rows.flags.writeable = True
             rows[...] = state[name].numpy()
@@ -350,7 +349,7 @@ class CpuBatchSimulation:
             self.batch.set_const(np.arange(self.num_envs))
 
     def _memory(self) -> dict[str, np.ndarray]:
-        """Return the memory that the next steps depend on, and what is read before them."""
+        """Return the memory on which the next steps depend or which is read before them."""
         return {
             "state": self.batch.state,
             "sensordata": self._sensor_rows,
@@ -365,12 +364,12 @@ class CpuBatchSimulation:
         """Convert the batch's rows of all environments into the state tensors."""
         self._converter.fill(self._buffers, self._qpos_rows, self._qvel_rows)
         for forces, rows in self._contacts:
-            # The sensor reports the force that the body exerts; tasks want the force on it.
+            # The sensor measures the force that the body exerts; tasks need the force on the body.
             transpose_into(forces, rows)
             np.negative(forces, out=forces)
 
     def _refresh_rows(self, rows: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """Convert qpos and qvel of written environments (n,), which have no contact forces yet."""
+        """Convert qpos and qvel of the written environments (n,), without contact forces."""
         buffers = StateBuffers(self.layout, len(rows))
         self._converter.fill(buffers, qpos, qvel)
         if self._buffers.bodies_are_current:
@@ -382,15 +381,16 @@ class CpuBatchSimulation:
     def close(self) -> None:
         """Free the simulations and their threads; a second call does nothing."""
         self._batch = None
-        # The views keep the batch's memory, and with it its threads, alive.
+        # The views would keep the batch's memory and threads alive.
         for view in _VIEWS:
             self.__dict__.pop(view, None)
 
 
 def _worthwhile_threads(model: mujoco.MjModel, num_envs: int, substeps: int) -> int:
-    """Return the threads that have enough to do in a control step, by the time of a physics step.
+    """Return the number of threads that have enough work in a control step.
 
-    Other work on the machine makes a step seem longer, so the shortest of a few counts.
+    The work is estimated from the shortest of a few timed physics steps, because other work on the
+    machine makes steps longer.
     """
     cpus = min(thread_count(), num_envs)
     if cpus == 1:

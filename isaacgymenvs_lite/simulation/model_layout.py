@@ -1,10 +1,8 @@
-"""Where a MuJoCo model keeps its root, its degrees of freedom, its bodies and its objects.
+"""Computes the index arrays of a model's root, degrees of freedom, bodies and objects.
 
-Turns a compiled model into the index arrays that backends and tasks need, once.
-
-An object is a body without children on a free joint of its own that is not the first joint of the
-model, which is the robot's. All objects come after the robot's bodies, so that MuJoCo's qpos, qvel
-and body arrays begin with the robot's part.
+An object is a body without children on its own free joint; the model's first joint belongs to the
+robot. All objects come after the robot's bodies, so that MuJoCo's qpos, qvel and body arrays begin
+with the robot's part.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ class ModelLayout:
 
     # B names without the world and the objects; body tensors use this order.
     body_names: tuple[str, ...]
-    # D names in joint order, `<joint>_x/_y/_z` for the three of a ball joint.
+    # D names in joint order; a ball joint has the names `<joint>_x`, `_y` and `_z`.
     dof_names: tuple[str, ...]
     dof_body_ids: tuple[int, ...]  # (G,) body of each joint group, in the order of `body_names`
     # (G + 1,) first degree of freedom of each group; the last entry is D.
@@ -37,36 +35,37 @@ class ModelLayout:
     ball_dofs: np.ndarray  # (balls, 3) the degrees of freedom of each ball joint
     scalar_qpos: np.ndarray  # (scalars,) qpos columns of hinges and slides
     scalar_dofs: np.ndarray  # (scalars,) their degrees of freedom
-    # (B, 3) columns of sensordata with the net contact force of each body, or None when the model
-    # has no `contact_<body>` sensors.
+    # (B, 3) columns of sensordata with the net contact force of each body; None if the model has no
+    # `contact_<body>` sensors.
     contact_columns: np.ndarray | None
     has_free_root: bool  # whether the first joint is a free joint
     object_names: tuple[str, ...]  # K names; object tensors use this order
-    object_contact_columns: np.ndarray | None  # (K, 3) as `contact_columns`, of the objects
-    sensor_columns: dict[str, slice]  # where in sensordata the values of each named sensor are
+    object_contact_columns: np.ndarray | None  # (K, 3) columns of sensordata of the objects
+    sensor_columns: dict[str, slice]  # columns of sensordata of each named sensor
 
     @property
     def num_dofs(self) -> int:
-        """D, all joints but the free root and the objects."""
+        """D, without the free joints of root and objects."""
         return self.dof_offsets[-1]
 
     @property
     def num_qpos(self) -> int:
-        """Q, the first numbers of qpos: all but the objects'."""
+        """Q, the length of the robot's part of qpos."""
         root = 7 if self.has_free_root else 0
         return root + self.ball_qpos.size + self.scalar_qpos.size
 
     @property
     def num_qvel(self) -> int:
-        """How many first numbers of qvel are not the objects'."""
+        """The length of the robot's part of qvel."""
         return self.dof_vel_adr + self.num_dofs
 
     @classmethod
     def from_model(cls, model: mujoco.MjModel) -> ModelLayout:
-        """Read the layout of a compiled model, or raise a ConfigError.
+        """Read the layout of a compiled model.
 
-        A free joint is neither the first joint of the model nor an object's, after all other
-        bodies; or there are contact sensors of some bodies but not of others.
+        Raises:
+            ConfigError: a free joint belongs neither to the model's first body nor to an object
+                after all other bodies, or only some bodies have contact sensors.
         """
         num_objects = _count_objects(model)
         has_free_root = model.njnt > 0 and model.jnt_type[0] == _FREE
@@ -113,7 +112,7 @@ class ModelLayout:
 
 
 def _count_objects(model: mujoco.MjModel) -> int:
-    """Return K; the objects are the last K bodies, and their joints the last K joints."""
+    """Return K; the last K bodies and the last K joints belong to the objects."""
     free_joints = np.flatnonzero(model.jnt_type == _FREE)
     objects = model.jnt_bodyid[free_joints[free_joints > 0]]
     for place, body in enumerate(objects):
@@ -122,14 +121,14 @@ def _count_objects(model: mujoco.MjModel) -> int:
         if children.size > 0:
             raise ConfigError(
                 f"body '{name}' has a free joint and a child, '{model.body(children[0]).name}', but"
-                " its joint is not the first of the model; expected one robot at most, before all"
-                " other joints, and other free bodies without children"
+                " its joint is not the first joint of the model; expected at most one robot, before"
+                " all other joints, and no children of other free bodies"
             )
         if model.nbody - body != len(objects) - place:
             others = (i for i in range(body + 1, model.nbody) if i not in objects)
             raise ConfigError(
                 f"free body '{name}' comes before body '{model.body(next(others)).name}'; expected"
-                " free bodies other than the robot after all other bodies: move it to the end"
+                " free bodies after all bodies of the robot: move it to the end"
             )
     return len(objects)
 

@@ -1,8 +1,8 @@
-"""Keeps the last control steps of simulations, and files of those that diverged.
+"""Keeps the last control steps of simulations, and writes the steps before a divergence to a file.
 
-A simulation that diverges is reset, so that what led to it would be lost. `StepHistory` copies the
-complete state before each control step; `Recording` is what it kept of one simulation, written to
-and read from a small .npz file. `replay` computes the steps again.
+A diverged simulation is reset, so that the steps before it would be lost. `StepHistory` copies the
+complete state before each control step. A `Recording` contains these states of one simulation and
+is stored in a small .npz file. `replay` computes the steps again.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _VERSION = 1
 _STEPS = 4
 _FIELD = "model."
 _NUMBERS = ("env_id", "control_step", "substeps")
-# Arrays in which two models of one task differ, if they do.
+# Randomisation may change these arrays of a task's model.
 _IDENTITY = (
     *("qpos0", "body_pos", "body_mass", "body_inertia", "jnt_range", "dof_damping", "dof_armature"),
     *("geom_size", "geom_friction", "actuator_gainprm", "actuator_biasprm", "hfield_data"),
@@ -37,25 +37,25 @@ _IDENTITY = (
 
 @dataclass(frozen=True)
 class Recording:
-    """The last control steps of a simulation that diverged in the last of them."""
+    """The last control steps of a simulation before it diverged."""
 
     # (K, S) MuJoCo's `mjSTATE_INTEGRATION` before each control step, controls included.
     states: Doubles
     substeps: int  # physics steps of a control step
     model_id: str  # see `model_identity`
-    # Values of the model's fields that this simulation has for itself, by name.
+    # This simulation's own values of model fields, by name.
     fields: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
     env_id: int = 0  # its environment
-    control_step: int = 0  # control steps of the task before the last one of the recording
-    task: str = ""  # name of the task; '' if it is not known
+    control_step: int = 0  # number of the recording's last control step in the task
+    task: str = ""  # name of the task; '' if it is unknown
 
 
 class StepHistory:
     """Keeps the states of N simulations before each of their last control steps.
 
-    `rows` (N, S) are their current states, a view that the simulation writes to, of which the first
-    `num_changing` values change. The others keep the values that the first simulation has now: most
-    of a state are applied forces, which nothing here uses.
+    `rows` (N, S) is a view of the current states. Only the first `num_changing` values are copied;
+    the others are taken from the first simulation, because most of a state are applied forces,
+    which nothing here uses.
     """
 
     def __init__(self, rows: Doubles, num_changing: int) -> None:
@@ -67,20 +67,20 @@ class StepHistory:
 
     @property
     def added(self) -> int:
-        """States added so far, of each simulation."""
+        """Number of states of each simulation that were added so far."""
         return self._added
 
     def add(self) -> None:
-        """Copy the current states; to be called before a control step."""
+        """Copy the current states before a control step."""
         np.copyto(self._ring[self._added % _STEPS], self._rows)
         self._added += 1
 
     def restart(self, env_ids: npt.NDArray[np.integer]) -> None:
-        """Start anew for simulations (n,) whose state was written."""
+        """Forget the states of simulations (n,) that were written."""
         self._started[env_ids] = self._added
 
     def states(self, env_id: int) -> Doubles:
-        """Return a copy of the states (K, S) of a simulation since its last start, oldest first."""
+        """Return a copy of a simulation's states (K, S) since its last restart, oldest first."""
         first = max(int(self._started[env_id]), self._added - _STEPS)
         steps = [i % _STEPS for i in range(first, self._added)]
         others = np.broadcast_to(self._others, (len(steps), len(self._others)))
@@ -88,7 +88,7 @@ class StepHistory:
 
 
 def model_identity(model: mujoco.MjModel) -> str:
-    """Return a text that two models share if they are the same but for randomised parameters."""
+    """Return a text that is equal for models that differ only in randomised parameters."""
     digest = hashlib.sha256(bytes(model.names))
     digest.update(np.float64(model.opt.timestep).tobytes())
     for name in _IDENTITY:
@@ -112,7 +112,7 @@ def write_recording(path: Path, recording: Recording) -> None:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read what `write_recording` wrote; nothing of a stranger's file is executed."""
+    """Read a file of `write_recording`, without running code from it."""
     if not path.is_file():
         raise ConfigError(f"{path}: no such file; expected <run>/diverged/<name>.npz")
     try:
@@ -121,12 +121,12 @@ def read_recording(path: Path) -> Recording:
         found = (str(arrays.get("format")), str(arrays.get("version")))
         if found != (_FORMAT, str(_VERSION)):
             raise ConfigError(
-                f"{path}: is of the format {found}, expected {(_FORMAT, str(_VERSION))}: a file of"
-                " <run>/diverged/"
+                f"{path} has the format {found}, expected {(_FORMAT, str(_VERSION))}; give a file"
+                " of <run>/diverged/"
             )
         states = arrays["states"]
         if states.ndim != 2 or states.dtype != np.float64 or states.size == 0:
-            raise ConfigError(f"{path}: has no states (control steps, values) of float64")
+            raise ConfigError(f"{path} has no states (control steps, values) of type float64")
         return Recording(
             states=states,
             model_id=str(arrays["model_id"]),
@@ -136,8 +136,8 @@ def read_recording(path: Path) -> Recording:
         )
     except UserError:
         raise
-    except Exception as error:  # numpy and zipfile raise nearly anything
+    except Exception as error:  # numpy and zipfile raise many types of errors
         raise ConfigError(
-            f"{path}: is no readable recording ({one_line(error)[:200]}); expected"
-            " <run>/diverged/<name>.npz, as a training writes it"
+            f"{path} is not a readable recording ({one_line(error)[:200]}); expected a file"
+            " <run>/diverged/<name>.npz of a training"
         ) from error

@@ -3,10 +3,10 @@
     isaacgymenvs-lite replay runs/Ant_22-10-15-30/diverged/0001.npz
     isaacgymenvs-lite replay 0001.npz task=Ant task.sim.dt=0.02
 
-A training writes FILE, the states before the last control steps, into `diverged/` of its run
-folder. The steps are computed again, and each physics step prints the largest acceleration and
-speed with their joints. The model comes from the run's config.yaml, or from the words after FILE;
-FILE itself holds numbers only.
+A training writes FILE, which contains the states before the last control steps, into `diverged/` of
+its run folder. The command computes the steps again and prints for each physics step the largest
+acceleration and speed with their joints. The model comes from the run's config.yaml or from the
+settings after FILE.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from isaacgymenvs_lite.simulation.recording import Recording, model_identity, re
 log = logging.getLogger(__name__)
 
 ModelMaker = Callable[[Path, list[str]], mujoco.MjModel]
-"""(the recording's file, `task=...` words of the user) -> the compiled model."""
+"""Maps a recording's file and the user's settings (`task=...`) to the compiled model."""
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
@@ -40,7 +40,7 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 class Largest:
     """The largest absolute value of a physics step, and the name of its joint.
 
-    In rad or m, per s or s^2; nan or inf where a number is not finite.
+    Its unit is rad or m per s or s^2. It is nan or inf if a value is not finite.
     """
 
     value: float
@@ -51,18 +51,19 @@ class Largest:
 class PhysicsStep:
     """A physics step of a replay."""
 
-    control_step: int  # of the recording, 0 is the oldest
-    physics_step: int  # within the control step
+    control_step: int  # index in the recording, 0 for the oldest
+    physics_step: int  # index in the control step
     time_s: float  # simulated time after the step, since the start of the recording
     acceleration: Largest  # `qacc` of the step, rad/s^2 or m/s^2
-    speed: Largest  # `qvel` after the step, rad/s or m/s; of free joints in world axes
-    is_sound: bool  # whether the state after it is finite and no joint is faster than `MAX_SPEED`
+    speed: Largest  # `qvel` after the step, rad/s or m/s; free joints are in world axes
+    is_sound: bool  # whether the state is finite and no joint is faster than `MAX_SPEED`
 
 
 def replay(recording: Recording, model: mujoco.MjModel) -> Iterator[PhysicsStep]:
-    """Yield the physics steps of a recording, up to the first whose state is not sound.
+    """Yield the physics steps of a recording, up to the first unsound state.
 
-    Raises ConfigError if states or fields of the recording do not fit the model.
+    Raises:
+        ConfigError: states or fields of the recording do not fit the model.
     """
     model = _own_model(recording, model)
     data = mujoco.MjData(model)
@@ -81,15 +82,15 @@ def replay(recording: Recording, model: mujoco.MjModel) -> Iterator[PhysicsStep]
 
 
 def _own_model(recording: Recording, model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy of the model with the recording's fields, which does not reset itself."""
+    """Return a copy of the model with the recording's fields and without MuJoCo's own resets."""
     size = mujoco.mj_stateSize(model, _STATE)
     if recording.states.shape[1] != size:
         raise ConfigError(
-            f"the recording's states have {recording.states.shape[1]} numbers and the model's"
-            f" {size}: it is of another model; give the words of its training, task=NAME"
+            f"the recording's states have {recording.states.shape[1]} values, but the model's have"
+            f" {size}: the recording belongs to another model; give its settings, task=NAME"
         )
     model = copy.copy(model)
-    # The state at the end is what a replay is for: MuJoCo would reset it.
+    # MuJoCo would reset the diverged state, which the replay must show.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     for name, values in recording.fields.items():
         _write_field(model, name, values)
@@ -99,7 +100,7 @@ def _own_model(recording: Recording, model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def _write_field(model: mujoco.MjModel, name: str, values: npt.NDArray[Any]) -> None:
-    """Set a field of the model, `geom_friction` or `opt.gravity`, to values of its shape."""
+    """Set a field of the model, for example `geom_friction` or `opt.gravity`."""
     owner = model.opt if name.startswith("opt.") else model
     own = getattr(owner, name.removeprefix("opt."), None)
     if isinstance(own, float) and values.ndim == 0 and owner is model.opt:
@@ -108,14 +109,14 @@ def _write_field(model: mujoco.MjModel, name: str, values: npt.NDArray[Any]) -> 
     fits = isinstance(own, np.ndarray) and own.dtype.kind == "f" and own.shape == values.shape
     if not fits or values.dtype.kind != "f" or not isinstance(own, np.ndarray):
         raise ConfigError(
-            f"the recording has a field '{name[:40]}' of shape {values.shape}, which the model does"
-            " not have as numbers of this shape"
+            f"the recording has a field '{name[:40]}' of shape {values.shape}, but the model has no"
+            " such field of this shape"
         )
     own[:] = values
 
 
 def _world_velocities(model: mujoco.MjModel, data: mujoco.MjData) -> npt.NDArray[np.float64]:
-    """Return qvel with the angular velocities of free joints in world axes, as they are limited."""
+    """Return qvel with the angular velocities of free joints in world axes."""
     velocities = data.qvel.copy()
     for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE):
         rotation = data.qpos[model.jnt_qposadr[joint] + 3 :][:4]
@@ -138,14 +139,14 @@ def _largest(values: npt.NDArray[np.float64], joints: list[str]) -> Largest:
 
 
 def table(recording: Recording, model: mujoco.MjModel) -> Iterator[str]:
-    """Yield the lines that show a recording."""
+    """Yield the lines of a recording's table."""
     first = recording.control_step
     of_task = f" of {recording.task}" if recording.task else ""
     yield f"environment {recording.env_id}{of_task}, control steps {first} to" + (
         f" {first + len(recording.states) - 1}, {recording.substeps} physics steps each"
     )
     if model_identity(model) != recording.model_id:
-        yield "the recording was made with another model: give the settings of its training"
+        yield "the recording belongs to another model: give the settings of its training"
     widest = max((len(_joint_of(model, dof)) for dof in range(model.nv)), default=5)
     yield f"{'step':>10} {'time (s)':>9} {'max |qacc|':>11} {'joint':{widest}}" + (
         f" {'max |qvel|':>11} joint"
@@ -158,7 +159,7 @@ def table(recording: Recording, model: mujoco.MjModel) -> Iterator[str]:
             f" {last.speed.value:11.4g} {last.speed.joint}"
         )
     if last is None or last.is_sound:
-        yield "the simulation does not diverge here"
+        yield "the simulation does not diverge with this model"
     else:
         faster = f"is faster than {MAX_SPEED:g} rad/s or m/s"
         yield (
@@ -169,7 +170,7 @@ def table(recording: Recording, model: mujoco.MjModel) -> Iterator[str]:
 
 
 def main(arguments: list[str] | None, make_model: ModelMaker) -> int:
-    """Run the command line; `make_model` knows the tasks, which this package does not."""
+    """Run the command line; `make_model` makes the task's model, as this package has no tasks."""
     parser = argparse.ArgumentParser(
         prog="isaacgymenvs-lite replay",
         description=__doc__,

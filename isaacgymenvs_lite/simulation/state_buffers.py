@@ -1,12 +1,12 @@
-"""The float32 state that tasks read, and its conversion from and to MuJoCo's qpos and qvel.
+"""Converts between the float32 state that tasks read and MuJoCo's qpos and qvel.
 
-The state of many environments is kept component-major: one contiguous row (a number per
-environment) for each component. Reductions and rotations over components, which is most of what
-tasks do, then run along memory, in a fraction of the time that three or four neighbours take.
+The state is stored component-major: each component has a contiguous row with a value for each
+environment. Reductions and rotations over components then run along memory, in a fraction of the
+time.
 
-A free body, the robot's root or an object, has a state of 13 numbers: position, rotation xyzw,
-linear and angular velocity in world axes. MuJoCo orders quaternions wxyz and keeps the angular
-velocity of a free joint in the body's own frame; its quaternions need not be of unit length.
+A free body (the robot's root or an object) has a state of 13 values: position, rotation xyzw,
+linear and angular velocity in world axes. MuJoCo orders quaternions wxyz, does not normalise them,
+and has the angular velocity of a free joint in the body's frame.
 """
 
 from __future__ import annotations
@@ -27,21 +27,22 @@ STATE_SIZE = 13
 QPOS_SIZE = 7
 QVEL_SIZE = 6
 _ROWS_IN_CACHE = 256
-# Where in qpos position and rotation xyzw of a state are.
+# The entries of a free joint's qpos with position and rotation xyzw.
 _QPOS_ROWS = np.append(np.arange(3), xyzw_from_wxyz(torch.arange(3, 7)).numpy())
 
 
 class StateBuffers:
-    """The state of n environments with B bodies, D degrees of freedom and K objects, float32.
+    """The float32 state of n environments with B bodies, D degrees of freedom and K objects.
 
-    All are zero at first; names and units as in `SimulationBackend`, with the environments last.
+    All values are zero at first. `SimulationBackend` has the same names and units, but there the
+    environments are the first dimension.
 
     Attributes:
         root_states: (13, n).
         dof_pos: (D, n).
         dof_vel: (D, n).
-        velocities: (6 + D, n) of the root, then `dof_vel`.
-        qpos: (Q, n) MuJoCo's, of all but the objects.
+        velocities: (6 + D, n) the root's velocities, then `dof_vel`.
+        qpos: (Q, n) the robot's part of MuJoCo's qpos.
         body_pos: (3, B, n).
         body_rot: (4, B, n).
         contact_forces: (3, B, n).
@@ -50,7 +51,7 @@ class StateBuffers:
         body_lin_vel: (3, B, n).
         body_ang_vel: (3, B, n).
         bodies_are_current: whether `body_pos` and `body_rot` belong to `qpos`; see `fill_bodies`.
-        has_body_velocities: whether the body velocities do; see `fill_body_velocities`.
+        has_body_velocities: whether the body velocities are current; see `fill_body_velocities`.
     """
 
     def __init__(self, layout: ModelLayout, num_envs: int) -> None:
@@ -61,7 +62,7 @@ class StateBuffers:
         first_body = first_qpos + layout.num_qpos
         first_object = first_body + 10 * num_bodies
         num_rows = first_object + (STATE_SIZE + 3) * num_objects
-        # One block of memory, so that environments are replaced in one operation.
+        # Values in one block of memory are replaced in one operation.
         self._all = np.zeros((num_rows, num_envs), dtype=np.float32)
         self.root_states = self._all[:STATE_SIZE]
         self.dof_vel = self._all[STATE_SIZE:first_dof_pos]
@@ -79,13 +80,13 @@ class StateBuffers:
 
     @property
     def memory(self) -> dict[str, Floats]:
-        """The blocks that hold all of it, by name."""
+        """The blocks of memory with all values, by name."""
         return {"tensors": self._all, "body_velocities": self._body_velocities}
 
     def replace(self, env_ids: npt.NDArray[np.integer], others: StateBuffers) -> None:
         """Copy the n environments of `others` to `env_ids` (n,).
 
-        Bodies and velocities that are current here must be so in `others`.
+        If bodies and velocities are current here, they must also be current in `others`.
         """
         _replace_columns(self._all, env_ids, others._all)
         if self.has_body_velocities:
@@ -104,17 +105,13 @@ class StateBuffers:
 
 
 def _replace_columns(mine: Floats, columns: npt.NDArray[np.integer], theirs: Floats) -> None:
-    # torch's is several times as fast as numpy's indexing.
+    # torch's indexing is several times as fast as numpy's.
     ids = torch.from_numpy(columns)
     torch.from_numpy(mine).index_copy_(mine.ndim - 1, ids, torch.from_numpy(theirs))
 
 
 def transpose_into(columns: Floats, rows: Doubles) -> None:
-    """Copy rows (n, ...) into columns (..., n).
-
-    A component is one number of each row, far from the next one: of a block of rows they stay in
-    the cache from one component to the next.
-    """
+    """Copy rows (n, ...) into columns (..., n), in blocks of rows that fit into the cache."""
     for first in range(0, len(rows), _ROWS_IN_CACHE):
         block = slice(first, first + _ROWS_IN_CACHE)
         columns[..., block] = rows[block].T
@@ -126,7 +123,7 @@ def as_tensor(buffer: Floats) -> Tensor:
 
 
 class StateConverter:
-    """Converts rows of qpos and qvel into state buffers, and states into such rows."""
+    """Converts rows of qpos and qvel into state buffers, and states into rows."""
 
     def __init__(self, model: mujoco.MjModel, layout: ModelLayout) -> None:
         self._layout = layout
@@ -141,7 +138,7 @@ class StateConverter:
 
     @np.errstate(all="ignore")  # a simulation may be diverging
     def fill(self, buffers: StateBuffers, qpos_rows: Doubles, qvel_rows: Doubles) -> None:
-        """Fill in all but contact forces and bodies, of rows (n, nq), (n, nv) of the batch."""
+        """Fill the buffers, except contact forces and bodies, from rows (n, nq) and (n, nv)."""
         layout = self._layout
         buffers.bodies_are_current = buffers.has_body_velocities = False
         qpos = buffers.qpos
@@ -160,13 +157,13 @@ class StateConverter:
 
     @np.errstate(all="ignore")
     def fill_bodies(self, buffers: StateBuffers) -> None:
-        """Fill in the poses of the bodies, after `fill`."""
+        """Compute the poses of the bodies, after `fill`."""
         buffers.bodies_are_current = True
         self._kinematics.poses(buffers.qpos, buffers.body_pos, buffers.body_rot)
 
     @np.errstate(all="ignore")
     def fill_body_velocities(self, buffers: StateBuffers) -> None:
-        """Fill in the velocities of the bodies, after `fill_bodies`."""
+        """Compute the velocities of the bodies, after `fill_bodies`."""
         buffers.has_body_velocities = True
         qvel = buffers.velocities[self._first_velocity :]
         poses = buffers.body_pos, buffers.body_rot
@@ -227,7 +224,7 @@ class StateConverter:
 
 
 def fill_free_states(states: Floats, qpos: Floats | Doubles, qvel: Floats | Doubles) -> None:
-    """Compute states (13, ..., n) from coordinates (7, ..., n), (6, ..., n) of free joints."""
+    """Compute states (13, ..., n) from qpos (7, ..., n) and qvel (6, ..., n) of free joints."""
     states[:7] = qpos[_QPOS_ROWS]
     states[7:] = qvel
     rotations = unit_quats(states[3:7].copy())
@@ -237,7 +234,7 @@ def fill_free_states(states: Floats, qpos: Floats | Doubles, qvel: Floats | Doub
 def free_joint_coordinates(states: Doubles) -> tuple[Doubles, Doubles]:
     """Return qpos (7, ..., n) and qvel (6, ..., n) of states (13, ..., n).
 
-    Rotations of another than unit length do not scale the velocity.
+    The velocity does not depend on the length of the quaternion.
     """
     qpos = np.empty((QPOS_SIZE, *states.shape[1:]))
     qpos[_QPOS_ROWS] = states[:7]

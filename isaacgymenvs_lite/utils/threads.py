@@ -129,7 +129,7 @@ class TorchThreads:
         self._has_warned = False
 
     def add(self, task: Any, most: int, is_chosen: bool = False) -> None:
-        """Set a task's limit; `is_chosen`: it overrides the user's other settings."""
+        """Set a task's limit; `is_chosen` means that it overrides the user's other settings."""
         if self.held_off:
             return
         if not self.limits:

@@ -103,7 +103,7 @@ def test_the_train_file_beside_a_task_file_is_its_default(tmp_path: Path, caplog
     with caplog.at_level("INFO"):
         cfg = compose([f"task={task}"])
     assert cfg.train.params.config.learning_rate == 7e-3
-    assert f"train file: {task.parents[1]}/train/WalkerPPO.yaml (beside" in caplog.text
+    assert f"train file: {task.parents[1]}/train/WalkerPPO.yaml (next to" in caplog.text
     # What is typed counts.
     assert compose([f"task={task}", "train=HumanoidAMPPPO"]).train.params.config.minibatch_size
     cfg = compose([f"task={task}", "train=HumanoidAMPPPO"])

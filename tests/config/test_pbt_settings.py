@@ -15,8 +15,8 @@ ON = ("task=Ant", "pbt=pbt_default", "rl_device=cpu")
 
 def test_one_line_for_a_wrong_value():
     for words, expected in [
-        (["pbt.policy_idx=8"], "pbt.policy_idx=8: expected a number from 0 to 7, a different one"),
-        (["pbt.num_policies=1"], "pbt.num_policies=1: one policy has no other to compare with"),
+        (["pbt.policy_idx=8"], "pbt.policy_idx=8: expected a number from 0 to 7; each of the"),
+        (["pbt.num_policies=1"], "pbt.num_policies=1: a single policy cannot be compared"),
         (["pbt.workspace=''"], "pbt.workspace='' cannot be the name"),
         (["pbt.workspace=../x"], "pbt.workspace='../x' leads out of the folder of the runs"),
         (["pbt.change_min=0.5"], "pbt.change_min: got 0.5, expected a number of at least 1"),

@@ -83,7 +83,7 @@ def test_wrong_values():
 def test_misspelt_section():
     network = changed("mlp", ABSENT)
     network["mpl"] = LAYERS
-    with pytest.raises(ConfigError, match=r"'n\.mlp' is missing \(is 'mpl' meant for it\?\)"):
+    with pytest.raises(ConfigError, match=r"'n\.mlp' is missing \(is 'mpl' misspelt\?\)"):
         check_network(network, "n")
 
 

@@ -62,8 +62,8 @@ def test_wrong_paths(tmp_path, monkeypatch):
 
 def test_unusable_files(tmp_path):
     for text, message in [
-        ("a: 1\n", "is no train file"),
-        ("", "is no train file"),
+        ("a: 1\n", "is not a train file"),
+        ("", "is not a train file"),
         ("params: {config: {n: '${....nowhere}'}}\n", "nowhere"),
         ("defaults: [File]\nparams: {}\n", "run in a circle"),
         ("defaults: [{task: Ant}]\nparams: {}\n", "unknown train/task"),

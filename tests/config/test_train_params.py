@@ -98,7 +98,7 @@ def test_a_critic_alone_may_be_recurrent(prepare):
 
 def test_an_epoch_that_no_memory_holds_is_refused(prepare):
     with pytest.raises(
-        ConfigError, match=r"an epoch of 6.4e\+12 samples, expected at most 2147483647"
+        ConfigError, match=r"an epoch has 6.4e\+12 samples, expected at most 2147483647"
     ):
         prepare("train.params.config.horizon_length=100000000000")
 
@@ -164,7 +164,7 @@ def test_wrong_files(prepare):
         ),
         (
             ["~train.params.config.minibatch_size"],
-            "'train.params.config.minibatch_size' is missing (is 'amp_minibatch_size' meant",
+            "'train.params.config.minibatch_size' is missing (is 'amp_minibatch_size' misspelt",
         ),
         (["train.params.config.lr_schedule=adaptive"], "'train.params.config.kl_threshold' is"),
     ]:

@@ -210,7 +210,7 @@ def test_a_full_disk_does_not_set_the_run_back(stopped, tmp_path, monkeypatch, c
     assert rescued.startswith(str(tmp_path / "tmp"))
     caplog.clear()
     run(resumed_tree([f"resume={stopped}", "max_iterations=4"]))
-    assert f"resume={stopped} takes a rescued checkpoint, " in caplog.text
+    assert f"resume={stopped} uses the rescued checkpoint " in caplog.text
     assert [file.name for file in stopped.glob("resume/*_buffers.pth")] == ["4_buffers.pth"]
 
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
 import av
@@ -9,7 +8,7 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion import strip, view
 from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 
@@ -61,12 +60,6 @@ def test_mistakes_are_one_line(tmp_path, monkeypatch, capsys):
         error = capsys.readouterr().err.strip()
         assert error.startswith("error: ")
         assert "\n" not in error
-
-
-def test_missing_pillow_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingPackageError, match=r"isaacgymenvs-lite\[video\]"):
-        strip.draw_strip("walk", str(tmp_path / "walk.png"), strip.StripSettings())
 
 
 def test_an_unknown_key_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def test_scenery_and_objects_are_left_out():
     assert robot.layout.body_names == ("base", "thigh", "foot")
     assert [robot.model.geom(i).name for i in range(robot.model.ngeom)].count("floor") == 1
     assert robot.model.npair == 1
-    assert "left out what is no part of the robot: stone, ball, wall" in robot.notes
+    assert "left out what does not belong to the robot: stone, ball, wall" in robot.notes
     np.testing.assert_allclose(robot.start_qpos[7:], [0.5, 0.6])
 
 
@@ -103,7 +103,7 @@ def test_bodies_that_overlap_at_the_start_do_not_touch():
     """Of the laikago: in MuJoCo's hull of the trunk's mesh are the thighs."""
     leg = LEG.replace('size="0.05" pos="0 0 -0.1"', 'size="0.05" pos="0 0 0.2"')
     robot = prepared(mjcf(leg=leg))  # the foot's ball is in the base's box
-    assert "overlap in the start pose and do not touch: base and foot" in robot.notes
+    assert "no contacts between bodies that overlap at the start: base and foot" in robot.notes
     data = mujoco.MjData(robot.model)
     data.qpos[:] = robot.start_qpos
     data.qpos[2] += 1
@@ -183,14 +183,14 @@ def test_robots_that_cannot_be_used(tmp_path):
     for text, reason in (
         (mjcf(leg=""), "has no joints"),
         ("<mujoco/>", "has no joints"),
-        (mjcf(base='<joint name="pin"/>'), "is mounted on the world by pin of body 'base'"),
+        (mjcf(base='<joint name="pin"/>'), "pin of body 'base' connects the robot to the world"),
         (mjcf(world=TWIN), "has 2 robots: twin, base"),
         (
             mjcf(rest='<equality><connect body1="foot" body2="base" anchor="0 0 0"/></equality>'),
             "loop",
         ),
         (mjcf(rest='<equality><weld body1="foot" body2="base"/></equality>'), "loop"),
-        (mjcf().replace("<geom", '<geom contype="0" conaffinity="0"'), "touches anything"),
+        (mjcf().replace("<geom", '<geom contype="0" conaffinity="0"'), "can touch anything"),
         (mjcf(rest="<actuator><motor joint='none'/></actuator>"), "MuJoCo refuses"),
         (mjcf(rest='<keyframe><key qpos="1 2 3 4 5 6 7 8 9 10"/></keyframe>'), "MuJoCo refuses"),
     ):
@@ -209,7 +209,7 @@ def test_constraints_to_the_world_are_released():
     )
     robot = prepared(mjcf(rest=rest))
     assert robot.model.neq == 0
-    assert "released 'base', which was held in the world" in robot.notes
+    assert "released 'base', which was fixed in the world" in robot.notes
 
 
 def test_settings_that_match_nothing():

@@ -124,7 +124,7 @@ def test_stl_files_in_ascii_have_the_volume_of_their_triangles(tmp_path):
 def test_a_robot_that_only_shows_itself_collides_as_it_looks(tmp_path):
     text = urdf().replace("collision>", "visual>")
     robot = read_robot_file(written(tmp_path / "r.urdf", text))
-    assert any("what it shows collides" in note for note in robot.notes)
+    assert any("visual shapes collide" in note for note in robot.notes)
     model = robot.spec.compile()
     assert model.geom_contype.all()
 
@@ -190,7 +190,7 @@ def test_meshes_from_outside_are_refused(tmp_path):
 def test_texts_that_cannot_be_used_are_refused_in_one_line(tmp_path):
     for text, reason in (
         ("<sdf/>", "begins with <sdf>"),
-        ("\x7fELF\x00", "no XML"),
+        ("\x7fELF\x00", "not valid XML"),
         (mjcf(rest='<extension><plugin plugin="mujoco.sdf.bolt"/></extension>'), "plugins"),
         (mjcf(rest='<asset><model file="a.xml"/></asset>'), "models within models"),
         (mjcf(world='<body><flexcomp name="a" count="9 9 9"/></body>'), "soft bodies"),

@@ -156,7 +156,7 @@ def test_what_is_deleted_is_made_again_at_the_next_save(deleted, open_run, tmp_p
         assert save(folder, epoch=epoch) == folder.checkpoints / "walk.pth"
         assert load_checkpoint(folder.checkpoints / "walk.pth")["epoch"] == epoch
         assert (folder.path / "config.yaml").read_text() == config
-    assert caplog.text.count("made again") == (0 if deleted == "config.yaml" else 3)
+    assert caplog.text.count("was restored") == (0 if deleted == "config.yaml" else 3)
 
 
 # --- rescued -----------------------------------------------------------------------------------
@@ -173,7 +173,7 @@ def test_last_finds_what_was_rescued(open_run, tmp_dir, tmp_path, caplog):
     assert folder.newest_checkpoint() == rescued
     assert not folder.save_failed
     assert resolve_checkpoint("last", runs, "Ant") == str(rescued)
-    assert f"checkpoint=last takes a rescued checkpoint, {rescued}" in caplog.text
+    assert f"checkpoint=last uses the rescued checkpoint {rescued}" in caplog.text
     with pytest.raises(CheckpointError, match="there are some of task=Ant"):
         resolve_checkpoint("last", runs, "Humanoid")
     # A newer one in the run folder wins.

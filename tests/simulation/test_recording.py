@@ -118,11 +118,11 @@ def test_only_the_first_few_wait_for_somebody(make_simulation, model) -> None:
 
 def test_another_model_is_named_or_refused(recorded: Recording) -> None:
     heavier = mujoco.MjModel.from_xml_string(PENDULUM.replace('size="0.1"', 'size="0.2"'))
-    assert any("was made with another model" in line for line in replay.table(recorded, heavier))
+    assert any("belongs to another model" in line for line in replay.table(recorded, heavier))
     cart = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>"
     )
-    with pytest.raises(ConfigError, match="of another model; give the words"):
+    with pytest.raises(ConfigError, match="another model; give its settings"):
         list(replay.table(recorded, cart))
 
 
@@ -145,10 +145,10 @@ GOOD = {
 
 
 HOSTILE = (
-    (b"states: 1", "no readable recording"),
-    (archive(**GOOD)[:-200], "no readable recording"),
-    (archive(states=np.array([{}], dtype=object)), "no readable recording"),
-    (archive(**{**GOOD, "version": np.array(2)}), "is of the format"),
+    (b"states: 1", "not a readable recording"),
+    (archive(**GOOD)[:-200], "not a readable recording"),
+    (archive(states=np.array([{}], dtype=object)), "not a readable recording"),
+    (archive(**{**GOOD, "version": np.array(2)}), "has the format"),
     (archive(**{**GOOD, "states": np.zeros(3)}), "has no states"),
 )
 
@@ -167,7 +167,7 @@ def test_fields_that_do_not_fit_are_refused(model) -> None:
     states = np.zeros((1, mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)))
     for field in ("dof_damping", "nv", "__class__", "opt.gravity", "names"):
         recording = Recording(states, 1, "", {field: np.zeros(7)})
-        with pytest.raises(ConfigError, match="which the model does not have"):
+        with pytest.raises(ConfigError, match="but the model has no such field"):
             list(replay.replay(recording, model))
 
 
