@@ -1,1 +1,1 @@
-"""Measures what a policy can do: pose error in metres, skills, episodes without a fall."""
+"""Measures policies: pose error in metres, share of the skills, episodes without a fall."""

@@ -1,4 +1,4 @@
-"""Where the bodies of a character were: of an episode that was played, or of a clip."""
+"""Stores the positions of a character's bodies in an episode or a clip."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class Track:
 def tracks_of_clips(motion_lib: MotionLib, dt_s: float) -> list[Track]:
     """Sample every clip of a motion library at the times 0, dt_s, 2 dt_s, ... < its length.
 
-    The end is left out, because the last pose of a clip that closes is the first one.
+    The end is left out, because the last pose of a cyclic clip equals its first pose.
     """
     tracks = []
     for motion_id in range(motion_lib.num_motions()):
         length_s = float(motion_lib.get_motion_length([motion_id]))
-        # A length of a whole number of steps may come out a rounding error longer.
+        # The length of a whole number of steps may have a rounding error.
         num_frames = max(1, math.ceil(length_s / dt_s - 1e-4))
         ids = torch.full((num_frames,), motion_id)
         times_s = torch.arange(num_frames, dtype=torch.float64) * dt_s

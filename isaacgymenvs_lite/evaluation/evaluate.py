@@ -1,4 +1,4 @@
-"""Plays a policy and measures it: the one loop of players, trainings and benchmarks."""
+"""Plays a policy and measures it; players, trainings and benchmarks use this loop."""
 
 from __future__ import annotations
 
@@ -33,27 +33,28 @@ from isaacgymenvs_lite.evaluation.pose_error import (
 log = logging.getLogger(__name__)
 
 Policy = Callable[[dict[str, Tensor]], Tensor]
-"""Observations -> actions (N, A) as the task's `step` takes them."""
+"""Maps observations to actions (N, A) for the task's `step`."""
 
 
 @dataclass(frozen=True)
 class EvaluationResult:
     """The result of a played policy, as means over episodes."""
 
-    num_episodes: int  # the same number in every environment
-    reward: float  # sum of the task's rewards of an episode
+    num_episodes: int  # all environments play the same number
+    reward: float  # sum of the task's rewards in an episode
     steps: float  # control steps of an episode
     style_reward: float | None  # discriminator's reward per step, None without a discriminator
     # Pose error and falls, None for tasks without reference motions.
     imitation: ImitationResult | None
-    # Means over all steps of the errors of the task's goal; {} without any.
+    # Errors of the task's goal as means over all steps; {} without a goal.
     goal_errors: dict[str, float] = field(default_factory=dict)
     falls: float = 0.0  # share of the episodes that ended before the time limit, 0 to 1
 
     def __str__(self) -> str:
         """Return one line for users."""
         parts = [f"{self.num_episodes} episodes"]
-        if not math.isclose(self.reward, self.steps, rel_tol=1e-6):  # 1 a step is no reward
+        # A task without a reward of its own returns 1 at every step.
+        if not math.isclose(self.reward, self.steps, rel_tol=1e-6):
             parts.append(f"reward {self.reward:.2f}")
         parts.append(f"episode length {self.steps:.1f} steps")
         if self.style_reward is not None:
@@ -62,7 +63,7 @@ class EvaluationResult:
         if self.imitation is None:
             parts.append(f"falls {self.falls:.0%}")
         else:
-            parts.append(str(self.imitation))  # with its own share of falls
+            parts.append(str(self.imitation))  # includes the share of falls
         return "; ".join(parts)
 
 
@@ -91,7 +92,7 @@ class _ImitationProbe:
         ids = dones.to(self._device).nonzero().flatten()
         fell = failures(dones, infos).to(self._device).bool()
         if (diverged := diverged_in(infos, self._device)) is not None:
-            fell = fell | diverged  # the last pose is not the policy's
+            fell = fell | diverged  # a divergence counts as a fall
         starts_s = getattr(self._env, "clip_starts_s", None)
         self._recorder.finish(ids, fell[ids], None if starts_s is None else starts_s[ids])
 
@@ -108,7 +109,7 @@ class _GoalProbe:
         self._steps = 0
 
     def record(self, playing: Tensor, infos: dict[str, Any]) -> None:
-        """Add the last step, of environments `playing` (N,) bool."""
+        """Add the last step of the environments in `playing` (N,) bool."""
         diverged = diverged_in(infos, playing.device)
         counted = playing if diverged is None else playing & ~diverged
         self._steps += int(counted.sum())
@@ -129,15 +130,15 @@ def evaluate(
 ) -> EvaluationResult:
     """Play at least `num_episodes` episodes and measure them.
 
-    Every environment plays the same number of episodes: the first n that end would contain too many
-    short ones.
+    Every environment plays the same number of episodes, because the first n episodes to end would
+    be too short on average.
 
     Args:
-        env: a task (`VecTask`); ended episodes are reset by `reset_done`.
+        env: a task (`VecTask`) whose `reset_done` resets ended episodes.
         policy: returns the actions.
         num_episodes: rounded up to a multiple of the number of environments.
         style_reward: maps `infos["amp_obs"]` (N, F) to rewards (N, 1).
-        on_step: called with the dones (N,) and infos of each step, before resets.
+        on_step: is called with the dones (N,) and infos of each step, before resets.
     """
     episodes_per_env = max(1, -(-num_episodes // env.num_envs))
     probe = _ImitationProbe(env, episodes_per_env) if fits(env, ReferenceEnv) else None
@@ -175,7 +176,7 @@ def evaluate(
 
 @contextlib.contextmanager
 def _evaluated(env: Env) -> Iterator[None]:
-    """Clear the flag of a task that an agent learns from it; nothing for a task without it."""
+    """Clear the task's flag `is_training`, if it has one, in a `with` statement."""
     before = getattr(env, "is_training", None)
     if before is None:
         yield
@@ -201,7 +202,7 @@ def play_on(
     policy: Policy,
     on_step: Callable[[Tensor, dict[str, Any]], None] | None = None,
 ) -> None:
-    """Play for as long as a window or a page is open, without measuring; Ctrl-C ends it."""
+    """Play without measuring until the window or page is closed, or until Ctrl-C."""
     if not getattr(env, "is_watched", False):  # a user's own environment may lack it
         return
     log.info("playing on while a window or a page is open; Ctrl-C ends it")
@@ -213,14 +214,14 @@ def play_on(
 
 
 DEFAULT_EPISODES = 32
-# Published train files have a hundred thousand and more: until the window is closed.
+# Published train files have 100,000 and more episodes, which means until the window is closed.
 _ENDLESS = 10_000
 
 
 def episodes_to_play(player_config: Mapping[str, Any]) -> int:
-    """Return `player.games_num` of a train file, or the default if that would never end.
+    """Return `player.games_num` of a train file, or the default if the number means without end.
 
-    A key of the section without effect is logged.
+    The log names a key of the section that has no effect.
     """
     if note := player_class_note(player_config):
         log.info("%s", note)
@@ -239,7 +240,7 @@ def episodes_to_play(player_config: Mapping[str, Any]) -> int:
 def evaluate_and_log(
     env: Env, policy: Policy, num_episodes: int, **probes: Any
 ) -> EvaluationResult:
-    """Play as `evaluate` does, and log the result in one line."""
+    """Call `evaluate` and log the result in one line."""
     result = evaluate(env, policy, num_episodes, **probes)
     log.info("played %s", result)
     return result

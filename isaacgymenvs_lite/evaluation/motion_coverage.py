@@ -1,11 +1,11 @@
-"""Measures how much of its clips' motion a character shows: nearly nothing if it stands still.
+"""Measures how much of its clips' motion a character shows; a standing character shows little.
 
-A **moment** is where the bodies are at a time and a little later, seen from the root at the first
-time: from its place on the ground and its heading. So poses count, speeds, turns, and the height of
-the root. How much later depends on the clip: the bodies must have moved so far that a frozen pose
-is another moment. A moment of a clip is shown if the character has one near it. Moments count by
-how far the bodies move in them: rest counts little. `docs/imitation_metric.md` explains the
-numbers.
+A **moment** consists of the body positions at a time and a little later, relative to the root's
+ground position and heading at the first time. It therefore describes pose, speed, turning and
+height of the root. The time difference depends on the clip: the bodies must move far enough that a
+frozen pose is a different moment. A moment of a clip is shown if the character has a similar
+moment. The weight of a moment is the distance that the bodies move, so that rest has little weight.
+`docs/imitation_metric.md` explains the results.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from torch import Tensor
 from isaacgymenvs_lite.evaluation.body_tracks import Track
 from isaacgymenvs_lite.utils.rotations import calc_heading, rotate_about_z
 
-# From the first time of a moment to the second; at most this share of the clip.
+# Time from the first to the second pose of a moment, and its largest share of the clip.
 _SHORTEST_S, _LONGEST_S, _LONGEST_SHARE = 0.1, 1.0, 0.25
-# Beyond this distance a moment is not shown, as a share of the mean distance of the bodies from
-# the root: 0.2 m of a human, and 0.08 m where bodies hardly move.
+# A moment at a larger distance is not shown. The distance is a share of the bodies' mean distance
+# from the root: 0.2 m for a human, 0.08 m if the bodies hardly move.
 _FAR, _FAR_LEAST = 0.5, 0.2
-# As a share of the distance between the moments of the clip and frozen poses.
+# The same limit as a share of the distance between the clip's moments and frozen poses.
 _FAR_OF_FROZEN = 0.7
-# Up to this share of that distance a moment is shown in full, then in part.
+# A moment is shown completely up to this share of the limit, and partly up to the limit.
 _NEAR = 0.5
-# A moment must be shown once in the time of so many repetitions of the clips.
+# A moment must be shown once within the time of this many repetitions of the clips.
 _REPETITIONS = 2
-# How many falls must begin how near each other.
+# Smallest number of falls, and the largest time between them.
 _LEAST_FALLS, _FALLS_WITHIN_S, _FALLS_SHARE = 4, 0.25, 0.5
 _LEAST_SIZE_M = 0.01
-# Of a clip that does not move at all every moment counts the same.
+# All moments of a clip without motion have the same weight.
 _LEAST_WEIGHT_M = 1e-6
 
 
@@ -42,10 +42,10 @@ _LEAST_WEIGHT_M = 1e-6
 class _Moments:
     """The S moments of one clip."""
 
-    apart: int  # control steps from their first time to the second
+    apart: int  # control steps between the two poses of a moment
     rows: Tensor  # (S, 6 J) m
-    weights: Tensor  # (S,) m, how far the bodies move, mean
-    far_m: float  # beyond this distance (root mean square over bodies and times) none is shown
+    weights: Tensor  # (S,) m, mean distance that the bodies move
+    far_m: float  # largest distance (root mean square over bodies and times) of a shown moment
     height_m: float  # median height of the root
 
     @classmethod
@@ -59,7 +59,7 @@ class _Moments:
             start, later = moments.chunk(2, dim=1)
             moved_m = (later - start).norm(dim=-1)
             weights = moved_m.mean(dim=-1) + _LEAST_WEIGHT_M
-            # A frozen pose is right at the first time, and wrong by the movement at the second.
+            # A frozen pose is correct at the first time and wrong by the movement at the second.
             frozen_m = moved_m.square().mean(dim=-1).div(2.0).sqrt()
             typical_m = (frozen_m @ weights / weights.sum()).item()
             if _FAR_OF_FROZEN * typical_m >= far_m:
@@ -68,11 +68,11 @@ class _Moments:
         return cls(apart, moments.flatten(1), weights, far_m, _height_m(clip))
 
     def shown(self, track: Track, height_m: float | None = None) -> Tensor:
-        """Return how well each moment of an episode shows each of these, (T', S), 0 to 1."""
+        """Return how well each moment of an episode shows each clip moment, (T', S), 0 to 1."""
         if len(track) <= self.apart:
             return torch.zeros(1, len(self.rows))
         moments = _moments(track, self.apart, height_m).flatten(1)
-        # Of 3 numbers for each body and time.
+        # A row has 3 values for each body and time.
         distances_m = torch.cdist(moments, self.rows) / math.sqrt(moments.shape[1] / 3)
         near_m = _NEAR * self.far_m
         return ((self.far_m - distances_m) / (self.far_m - near_m)).clamp(0.0, 1.0)
@@ -80,10 +80,7 @@ class _Moments:
 
 @dataclass(frozen=True)
 class FallMoment:
-    """The time of a clip at which many falls begin, and their share.
-
-    They begin within a quarter of a second of it.
-    """
+    """The time of a clip at which many falls begin (within 0.25 s), and their share."""
 
     clip: int
     time_s: float
@@ -91,7 +88,7 @@ class FallMoment:
 
 
 class MotionCoverage:
-    """Measures which share of the clips' motion episodes show; a row of a track for each `dt_s`."""
+    """Measures the share of the clips' motion that episodes show; tracks have a row per `dt_s`."""
 
     def __init__(self, clips: Sequence[Track], dt_s: float) -> None:
         self._dt_s = dt_s
@@ -101,10 +98,10 @@ class MotionCoverage:
     def share(self, episodes: Sequence[Track], max_steps: int) -> float:
         """Return the mean share, 0 to 1, over stretches of episodes; nan without episodes.
 
-        A stretch takes twice as long as all clips together, or is a whole episode if that is
-        shorter (`max_steps` if it does not end early). Of clips longer than a stretch as much is
-        expected as fits into it. What an episode does not show because it ended in a fall is
-        missing.
+        A stretch is twice as long as all clips together, or a whole episode if that is shorter
+        (`max_steps` steps without an early end). If the clips are longer than a stretch, only the
+        part that fits into the stretch is expected. Motion that is missing because of a fall lowers
+        the share.
         """
         if not episodes:
             return math.nan
@@ -115,26 +112,26 @@ class MotionCoverage:
         return (shown / expected).clamp(max=1.0).mean().item()
 
     def share_of_rest(self, episodes: Sequence[tuple[Track, float]]) -> float:
-        """Return the share, 0 to 1, of what was left of the only clip that episodes show.
+        """Return the share, 0 to 1, of the rest of the only clip that episodes show.
 
         Args:
-            episodes: at least one; each with the time (s) of the clip at which it started.
+            episodes: at least one episode with the time (s) of the clip at which it started.
         """
         (clip,) = self._clips
         shown = expected = torch.zeros(())
         for track, start_s in episodes:
             first = min(round(start_s / self._dt_s), len(clip.rows) - 1)
             weights = clip.weights[first:]
-            # An episode that gets up sooner or later than the clip has another median height.
+            # The median height differs if an episode gets up earlier or later than the clip.
             found = clip.shown(track, clip.height_m)[:, first:]
             shown = shown + found.amax(dim=0) @ weights
             expected = expected + weights.sum()
         return (shown / expected).item()
 
     def fall_moment(self, episodes: Sequence[Track]) -> FallMoment | None:
-        """Return the moment at which most of these episodes, which ended in falls, leave the clips.
+        """Return the moment of the clips at which most of these falling episodes began to fall.
 
-        None if they leave them here and there, or are fewer than four.
+        The result is None if there is no common moment or if there are fewer than four episodes.
         """
         last = [found for track in episodes if (found := self._last_shown(track)) is not None]
         if len(last) < _LEAST_FALLS:
@@ -150,7 +147,7 @@ class MotionCoverage:
         return FallMoment(last[most][0], times_s[near[most]].median().item(), share)
 
     def _last_shown(self, track: Track) -> tuple[int, float] | None:
-        """Return the clip, and the time (s) in it, that an episode showed last."""
+        """Return the clip and the time in it (s) that an episode showed last."""
         found: tuple[int, int, float] | None = None
         for i, clip in enumerate(self._clips):
             how_well, moments = clip.shown(track).max(dim=1)
@@ -162,7 +159,7 @@ class MotionCoverage:
 
     def _shown(self, track: Track, stretch: int) -> Tensor:
         """Return the sum of the weights that each stretch of an episode shows."""
-        # The rest at the end is too short for all of the clips, unless there is nothing else.
+        # The rest at the end counts only if the episode is shorter than a stretch.
         num_stretches = max(1, len(track) // stretch)
         sums = torch.zeros(num_stretches)
         for clip in self._clips:
@@ -176,10 +173,10 @@ class MotionCoverage:
 def _weight_shown(how_well: Tensor, weights: Tensor, steps: int) -> Tensor:
     """Return the weight () of the moments that a stretch of an episode shows.
 
-    Where the moments of a clip are nearly alike, as in a slow crouched walk, each step of the
-    episode is near many of them, but counts for one: an episode that starts in the walk and stands
-    after half a second has shown half a second of it. The stretch has more `steps` than rows of
-    `how_well` (T, S), as its last moment ends with it.
+    The moments of a clip may be nearly alike, for example in a slow crouched walk, so that each
+    step of the episode is near many moments. The step counts for only one of them: an episode that
+    walks for half a second and then stands has shown half a second of the clip. The stretch has
+    more `steps` than rows of `how_well` (T, S), because its last moment ends with the stretch.
     """
     best, nearest = how_well.max(dim=1)
     most = (best * weights[nearest]).mean() * steps
@@ -191,10 +188,10 @@ def _height_m(track: Track) -> float:
 
 
 def _moments(track: Track, apart: int, height_m: float | None = None) -> Tensor:
-    """Return the moments (T - apart, 2 J, 3) m of T > 1 steps; of one step that it stays there.
+    """Return the moments (T - apart, 2 J, 3) m of T steps; a single step is repeated.
 
-    Heights are measured from `height_m`. None: the median height of the root, as a clip may be
-    recorded above or below the ground.
+    Heights are relative to `height_m`. Its default is the median height of the root, because a clip
+    may have been recorded above or below the ground.
     """
     apart = min(apart, len(track) - 1)
     first = track.body_pos_w[: len(track) - apart]

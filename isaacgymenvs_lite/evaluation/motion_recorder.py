@@ -1,4 +1,4 @@
-"""Records a played policy as a motion clip, to look at it or compare it."""
+"""Records the motion of a policy as a clip."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ log = logging.getLogger(__name__)
 
 
 class MotionRecorder:
-    """Records the first episode of environment 0 of a task with reference motions, as .npz.
+    """Records the first episode of environment 0 of a task with reference motions as an .npz file.
 
-    A humanoid's clip has the rotations of its bodies, a robot's the coordinates of its joints, as
-    the clips that the command `convert` writes.
+    The clip of a humanoid contains the rotations of its bodies, the clip of a robot the positions
+    of its joints, like the clips of the command `convert`.
     """
 
     def __init__(self, env: ReferenceEnv, path: str) -> None:
@@ -44,7 +44,7 @@ class MotionRecorder:
         self._done = False
 
     def step(self, dones: Tensor) -> None:
-        """Store a control step; the file is written when the episode ends."""
+        """Store a control step; write the file when the episode ends."""
         if self._done:
             return
         simulation = self._env.simulation
@@ -58,7 +58,7 @@ class MotionRecorder:
     def _write(self) -> None:
         num_frames = len(self._positions)
         if num_frames < 2:
-            log.warning("the episode to record had one step only: nothing is written")
+            log.warning("the recorded episode had only one step; no file was written")
             return
         if self._env.motion_lib.skeleton.has_simple_joints:
             save_npz(self._path, self._clip_of_bodies())

@@ -1,9 +1,9 @@
 """Measures how closely a character imitates its clips: the pose error in metres of the AMP paper.
 
-A frame's error is the mean over the bodies of the distance between the root-relative position of
-a body of the character and of the reference, both turned into their heading frames. An episode is
-aligned with the repeated clip by subsequence dynamic time warping, because the policy chooses its
-own phase and tempo. `docs/imitation_metric.md` explains the numbers.
+The error of a frame is the mean distance between the bodies of the character and of the reference,
+relative to the roots and in their heading frames. An episode is aligned with the repeated clip by
+subsequence dynamic time warping, because the policy chooses its own phase and tempo.
+`docs/imitation_metric.md` explains the results.
 
 References:
     Peng et al., "AMP: Adversarial Motion Priors for Stylized Physics-Based Character Control",
@@ -26,7 +26,7 @@ from isaacgymenvs_lite.evaluation.body_tracks import Track
 from isaacgymenvs_lite.evaluation.motion_coverage import FallMoment, MotionCoverage
 from isaacgymenvs_lite.utils.rotations import calc_heading, rotate_about_z
 
-# What a path cell and a step in the reference add to the imaginary part of a path's cost.
+# A cell of a path and a step in the reference add these values to the imaginary part of its cost.
 _CELL = 1.0
 _ADVANCE = 2.0**-24
 
@@ -35,8 +35,7 @@ _ADVANCE = 2.0**-24
 class Alignment:
     """The cheapest warping paths of E episodes."""
 
-    # (E,) float64, the cost of the path, with what it pays for its steps, divided by the number of
-    # its cells.
+    # (E,) float64, cost of the path including its steps, divided by the number of its cells.
     mean_cost: npt.NDArray[np.float64]
     # (E,) int, reference frames from the first to the last cell of the path.
     advance: npt.NDArray[np.int64]
@@ -51,22 +50,24 @@ def align(
     """Align episodes with a reference by subsequence dynamic time warping.
 
     A path visits cells (t, s), from any cell of an episode's first row to any cell of its last row,
-    by the steps (1, 0), (0, 1) and (1, 1). The cheapest path has the smallest sum of costs; among
-    equally cheap ones the one with the fewest cells counts, then the one that advances the least in
-    the reference. Time is O(E T S), memory beside `cost` O(E T).
+    by the steps (1, 0), (0, 1) and (1, 1). The cheapest path has the smallest sum of costs. Among
+    equally cheap paths the fewest cells count, then the smallest advance in the reference. The time
+    is O(E T S); the memory in addition to `cost` is O(E T).
 
-    `cost` (T, S, E) is not negative, of frame t of episode e at reference frame s. Rows after the
-    `lengths` (E,) of the episodes are ignored. Of `num_columns` (E,) more than S repeat the
-    reference from its start. A step (1, 0) or (0, 1) costs `off_tempo`: where all cells cost about
-    the same, the path goes on by (1, 1).
+    Args:
+        cost: (T, S, E) non-negative cost of frame t of episode e at reference frame s.
+        lengths: (E,) lengths of the episodes; later rows are ignored.
+        num_columns: (E,) reference frames; more than S frames repeat the reference from its start.
+        off_tempo: cost of a step (1, 0) or (0, 1), so that the path prefers (1, 1) if all cells
+            have a similar cost.
     """
     num_rows, num_frames, num_episodes = cost.shape
     max_columns = int(num_columns.max())
 
-    # A path's cost and, as the imaginary part, its cells and its advance in one number: numpy
-    # orders complex numbers by the real and then by the imaginary part, which is the tie rule.
-    # Row 0 is before the episode: every path begins there at no cost. The cells of an
-    # anti-diagonal depend only on the two before it, hence three arrays that take turns.
+    # The real part is a path's cost; the imaginary part contains its cells and its advance. numpy
+    # orders complex numbers by the real and then by the imaginary part, which is the rule for ties.
+    # Row 0 is before the episode, and every path begins there without cost. The cells of an
+    # anti-diagonal depend only on the two previous anti-diagonals, so three arrays take turns.
     older, old, new = (np.full((num_rows + 1, num_episodes), np.inf + 0j) for _ in range(3))
     for diagonal in (older, old, new):
         diagonal[0] = 0.0
@@ -95,11 +96,11 @@ def align(
     return Alignment(best.real / cells, advance.astype(np.int64))
 
 
-# The reference is repeated until a character this many times as fast as the clip fits.
+# The reference is repeated often enough for a character at this tempo.
 _MAX_TEMPO = 2
-# How much nearer a frame must be for each step that the tempo is not the clip's, as a share of the
-# mean distance of the bodies from the root: 7 mm of a human. Where poses are nearly alike, as in a
-# turn on the spot, the nearest frame is there by chance. Half the tempo of a walk stays half.
+# Cost of a step off the clip's tempo, as a share of the bodies' mean distance from the root: 7 mm
+# for a human. Without this cost the nearest frame would be a matter of chance where poses are
+# nearly alike, as in a turn on the spot. A walk at half the tempo is still measured as half.
 _OFF_TEMPO = 0.02
 # Upper limit of the cost tensors of one chunk of episodes, in bytes.
 _CHUNK_BYTES = 200 * 2**20
@@ -108,7 +109,9 @@ _CHUNK_BYTES = 200 * 2**20
 def root_relative_pose(body_pos_w: Tensor, root_rot_w: Tensor) -> Tensor:
     """Return body positions (..., J, 3) m relative to the root, in its heading frame.
 
-    Of positions in the world, z up, with the root first, and rotations (..., 4) xyzw of the root.
+    Args:
+        body_pos_w: (..., J, 3) m in the world, z up; body 0 is the root.
+        root_rot_w: (..., 4) xyzw rotation of the root.
     """
     heading = calc_heading(root_rot_w).unsqueeze(-1)
     return rotate_about_z(heading.cos(), -heading.sin(), body_pos_w - body_pos_w[..., :1, :])
@@ -118,9 +121,8 @@ class ReferencePoses:
     """The reference clips, one pose per control step; a clip repeats for ever.
 
     Args:
-        clips: for each clip, at least one, the poses (F, J, 3) m, F >= 1, of `root_relative_pose`,
-            sampled at the control step. A clip that closes must not repeat its first pose at the
-            end.
+        clips: for each clip the poses (F, J, 3) m of `root_relative_pose`, F >= 1, sampled at the
+            control step. A cyclic clip must not repeat its first pose at the end.
     """
 
     def __init__(self, clips: Sequence[Tensor | npt.NDArray[np.floating]]) -> None:
@@ -129,7 +131,7 @@ class ReferencePoses:
 
     @classmethod
     def from_tracks(cls, tracks: Sequence[Track]) -> ReferencePoses:
-        """Take the poses of clips, a row for each control step."""
+        """Return the poses of clips whose tracks have a row for each control step."""
         return cls([root_relative_pose(t.body_pos_w, t.root_rot_w) for t in tracks])
 
 
@@ -146,18 +148,18 @@ class Episode:
 
 
 class EpisodeRecorder:
-    """Collects episodes of a fixed set of environments, the same number from each.
+    """Collects the same number of episodes from each environment.
 
-    The same number, because the episodes that end first are the short ones. What an environment
-    does after its last episode is not stored.
+    Equal numbers avoid a bias, because short episodes end first. Steps of an environment after its
+    last episode are not stored.
 
     Args:
-        num_envs: environments N, rows of the arguments of `record`.
-        num_bodies: bodies J.
+        num_envs: number of environments N.
+        num_bodies: number of bodies J.
         max_steps: longest episode in control steps; later steps of an episode are dropped.
-        device: where the tensors given to `record` are.
-        episodes_per_env: episodes to store from each environment.
-        wait_for_reset: begin with the next episode of an environment, not in the middle of one.
+        device: device of the arguments of `record`.
+        episodes_per_env: number of episodes to store from each environment.
+        wait_for_reset: whether to skip the episodes that are running now.
     """
 
     def __init__(
@@ -171,7 +173,7 @@ class EpisodeRecorder:
     ) -> None:
         self.episodes: list[Episode] = []
         self._max_steps = max_steps
-        # The slot after the last one receives what is dropped, so that `record` needs no branch.
+        # An additional slot receives dropped steps, so that `record` needs no branch.
         shape = (num_envs, max_steps + 1)
         self._body_pos_w = torch.zeros(*shape, num_bodies, 3, device=device)
         self._root_rot_w = torch.zeros(*shape, 4, device=device)
@@ -186,18 +188,15 @@ class EpisodeRecorder:
         return not any(self._left)
 
     def record(self, body_pos_w: Tensor, root_rot_w: Tensor) -> None:
-        """Store one control step: (N, J, 3) m and (N, 4) xyzw, in the world. Call before resets."""
+        """Store body positions (N, J, 3) m and root rotations (N, 4) xyzw, before resets."""
         self._body_pos_w[self._rows, self._slots] = body_pos_w
         self._root_rot_w[self._rows, self._slots] = root_rot_w
         self._slots.add_(1).clamp_(max=self._max_steps)
 
     def finish(self, env_ids: Tensor, fell: Tensor, starts_s: Tensor | None = None) -> None:
-        """End the episodes of the environments `env_ids` (n,).
+        """End the episodes of environments (n,).
 
-        Args:
-            env_ids: (n,)
-            fell: (n,) bool, by a fall.
-            starts_s: (n,) s, see `Episode.start_s`.
+        `fell` (n,) bool tells which of them fell; `starts_s` (n,) are their `Episode.start_s`.
         """
         if self.complete or env_ids.numel() == 0:
             return
@@ -209,7 +208,7 @@ class EpisodeRecorder:
             num_steps = slots[env]
             if not self._waiting[env] and num_steps > 0:
                 steps = (env, slice(num_steps))
-                # Copies: the buffers are written again in the next episode.
+                # The next episode overwrites the buffers.
                 copies = (
                     part[steps].clone().cpu() for part in (self._body_pos_w, self._root_rot_w)
                 )
@@ -223,26 +222,26 @@ class EpisodeRecorder:
 
 @dataclass(frozen=True, eq=False)
 class ImitationResult:
-    """The result of `PoseErrorMetric`; nan where no episode could be measured."""
+    """The result of `PoseErrorMetric`; a value is nan if no episode could be measured."""
 
     pose_error_m: float  # mean of `per_episode` in m, over the episodes that could be measured
     # (E,) m; nan for an episode with poses that are not finite.
     per_episode: npt.NDArray[np.float64]
-    # (E,) index of the clip that `per_episode` refers to, -1 where it is nan.
+    # (E,) index of each episode's nearest clip; -1 if `per_episode` is nan.
     nearest_clip: npt.NDArray[np.int64]
-    # Mean number of reference frames passed per step: 1 is the clip's own tempo, 0 a frozen pose,
-    # at most about 2. A low pose error means little when this is near 0. Where the clip's poses are
-    # nearly alike, it is nearer to 1 than it is.
+    # Mean number of reference frames per step: 1 is the clip's tempo, 0 a frozen pose, about 2 the
+    # largest value. A low pose error means little if the tempo is near 0. If the clip's poses are
+    # nearly alike, the measured tempo is nearer to 1 than the true tempo.
     tempo: float
-    # Share of the episodes that ended without a fall, 0 to 1; one that could not be measured counts
-    # as a fall.
+    # Share of the episodes that ended without a fall, 0 to 1. An episode that could not be measured
+    # counts as a fall.
     no_fall_share: float
     mean_episode_steps: float  # mean length in control steps
     num_episodes: int  # E
     # Share of the clips' motion that the episodes show, 0 to 1, see `motion_coverage`; nan if it
     # was not measured.
     motion_shown: float = math.nan
-    # Where in the clips most falls begin; None if here and there.
+    # The moment of the clips at which most falls begin; None if there is no common moment.
     fall_moment: FallMoment | None = None
 
     def __str__(self) -> str:
@@ -251,7 +250,7 @@ class ImitationResult:
         return f"{error}{shown}, {self.no_fall_share:.0%} without a fall"
 
     def falls(self) -> str:
-        """Return, for users, how the episodes ended."""
+        """Return a text about the ends of the episodes."""
         return (
             f"{self.no_fall_share:.0%} of {self.num_episodes} episodes without a fall, "
             f"{self.mean_episode_steps:.0f} steps on average"
@@ -259,10 +258,10 @@ class ImitationResult:
 
 
 class PoseErrorMetric:
-    """Measures the pose error of episodes against reference clips; the nearest clip counts.
+    """Measures the pose error of episodes relative to their nearest reference clips.
 
-    The clips are sampled at the episodes' control step. `max_steps` of an episode that does not end
-    early are for the coverage, which is not measured if it is None.
+    The clips are sampled at the episodes' control step. `max_steps` is the length of an episode
+    without an early end, for the coverage; None leaves out the coverage.
     """
 
     def __init__(
@@ -276,7 +275,11 @@ class PoseErrorMetric:
         self._max_steps = max_steps
 
     def evaluate(self, episodes: Sequence[Episode]) -> ImitationResult:
-        """Measure E >= 1 episodes; ValueError for poses of another shape than the reference's."""
+        """Measure E >= 1 episodes.
+
+        Raises:
+            ValueError: the shape of the poses differs from the reference's.
+        """
         if not episodes:
             raise ValueError("there is no episode to measure; record at least one")
         expected = (self.reference.num_bodies, 3)
@@ -311,7 +314,7 @@ class PoseErrorMetric:
     def _tempos(
         self, episodes: Sequence[Episode], nearest: npt.NDArray[np.int64]
     ) -> npt.NDArray[np.float64]:
-        """Return the tempo (E,) of episodes in their nearest clips (E,), nan where that is -1."""
+        """Return the tempo (E,) of episodes in their nearest clips (E,); nan if the clip is -1."""
         tempos = np.full(len(episodes), np.nan)
         for clip_id in np.unique(nearest[nearest >= 0]):
             clip = self.reference.clips[clip_id]
@@ -323,7 +326,7 @@ class PoseErrorMetric:
         return tempos
 
     def _coverage_of(self, episodes: Sequence[Episode]) -> dict[str, Any]:
-        """Return the share of the motion that episodes show, and where they begin to fall."""
+        """Return the share of the motion that episodes show, and the moment of most falls."""
         if self._coverage is None:
             return {}
         tracked = [(episode.track, episode) for episode in episodes if episode.track is not None]
@@ -348,12 +351,12 @@ def _aligned(
 ) -> Iterator[tuple[npt.NDArray[np.int64], Alignment]]:
     """Align the episodes `ids` with a clip (F, J, 3); yield parts of `ids` and their alignments.
 
-    Parts have episodes of similar lengths, and their cost tensors fit `_CHUNK_BYTES`.
+    The episodes of a part have similar lengths, and their cost tensors fit into `_CHUNK_BYTES`.
     """
     lengths = np.array([len(episodes[i].poses) for i in ids], dtype=np.int64)
     ids = ids[np.argsort(-lengths, kind="stable")]
     while len(ids):
-        # Two float32 tensors of the size of the cost: the sum and one body's distances.
+        # Two float32 tensors have the size of the cost: the sum and the distances of one body.
         size = max(1, _CHUNK_BYTES // (8 * len(clip) * len(episodes[ids[0]].poses)))
         part, ids = ids[:size], ids[size:]
         yield part, _align_with_clip([episodes[i].poses for i in part], clip, off_tempo_m)
@@ -362,15 +365,15 @@ def _aligned(
 def _align_with_clip(episodes: Sequence[Tensor], clip: Tensor, off_tempo_m: float) -> Alignment:
     """Align episodes [(T_e, J, 3)] with a clip (F, J, 3), repeated as often as they need."""
     lengths = np.array([len(poses) for poses in episodes])
-    # (T, E, J, 3), filled up with zeros, which `align` leaves out.
+    # (T, E, J, 3), padded with zeros, which `align` ignores.
     padded = torch.nn.utils.rnn.pad_sequence(list(episodes))
     num_rows, num_episodes, num_bodies, _ = padded.shape
     cost = torch.zeros(num_rows, len(clip), num_episodes)
     for body in range(num_bodies):
         frames = clip[:, body].expand(num_rows, -1, -1)
-        # Without the matrix product, which would cancel small distances to noise of 0.3 mm.
+        # The matrix product would turn small distances into noise of 0.3 mm.
         cost += torch.cdist(frames, padded[:, :, body], compute_mode="donot_use_mm_for_euclid_dist")
     cost /= num_bodies
-    # Room for a start at any of the clip's frames and for `_MAX_TEMPO` from there.
+    # An episode may start at any frame of the clip and go on with `_MAX_TEMPO`.
     num_columns = len(clip) + _MAX_TEMPO * (lengths - 1)
     return align(cost.numpy(), lengths, num_columns, off_tempo_m)

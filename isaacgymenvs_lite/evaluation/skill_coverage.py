@@ -1,8 +1,8 @@
-"""Measures how many clips of its data set a skill policy shows.
+"""Measures how many clips of its dataset a skill policy shows.
 
 The method is the nearest-neighbour analysis of Peng et al. 2022, "ASE: Large-Scale Reusable
-Adversarial Skill Embeddings" (arXiv 2205.01906): every window of generated motion belongs to the
-clip with the most similar window, and a clip counts as covered if it has a fair share of them.
+Adversarial Skill Embeddings" (arXiv 2205.01906). Every window of generated motion belongs to the
+clip with the most similar window; a clip is covered if enough windows belong to it.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ import torch
 from torch import Tensor
 
 COVERED_SHARE = 0.01
-"""Least share of the generated windows for a clip that counts as covered."""
+"""Smallest share of the generated windows of a covered clip."""
 
 _CHUNK_ROWS = 1024
-# Smallest scale of a feature in its unit (m, m/s, rad/s, or parts of a unit vector), so that
-# features that hardly vary in the clips are not magnified.
+# Smallest scale of a feature in its unit (m, m/s, rad/s, or parts of a unit vector); it prevents
+# that features which hardly vary in the clips are magnified.
 _LEAST_SCALE = 0.01
 
 
 @dataclass(frozen=True)
 class ClipShares:
-    """The share of windows that are nearest to each clip, the largest first."""
+    """The shares of the windows that are nearest to each clip, in descending order."""
 
     shares: dict[str, float]
 
@@ -41,10 +41,10 @@ class ClipShares:
 
 
 class ClipMatcher:
-    """Finds the clip that a window of motion is nearest to.
+    """Finds the nearest clip of a window of motion.
 
-    Features are scaled by their spread over the clips, each clip counting the same; the distance is
-    Euclidean. `windows` are (W, F) of each clip, W >= 1.
+    The distance is Euclidean, after features have been scaled by their spread over the clips; all
+    clips have the same weight. `windows` contains (W, F) for each clip, W >= 1.
     """
 
     def __init__(self, windows: Sequence[Tensor], names: Sequence[str]) -> None:
@@ -58,7 +58,7 @@ class ClipMatcher:
         self._clip_ids = torch.cat(ids).to(self._rows.device)
 
     def nearest_clips(self, windows: Tensor) -> Tensor:
-        """Return the clips' places in `names`, (n,) int64, for windows (n, F)."""
+        """Return the indices of the nearest clips, (n,) int64, for windows (n, F)."""
         found = [
             self._clip_ids[torch.cdist(rows / self._scale, self._rows).argmin(dim=1)]
             for rows in windows.split(_CHUNK_ROWS)
@@ -66,7 +66,7 @@ class ClipMatcher:
         return torch.cat(found) if found else torch.empty(0, dtype=torch.int64)
 
     def shares(self, windows: Tensor) -> ClipShares:
-        """Return which clips windows (n, F) are nearest to, n >= 1."""
+        """Return the shares of the clips among the nearest clips of windows (n, F), n >= 1."""
         counts = self.nearest_clips(windows).bincount(minlength=len(self._names)).tolist()
         order = sorted(range(len(counts)), key=lambda i: -counts[i])
         return ClipShares({self._names[i]: counts[i] / len(windows) for i in order})

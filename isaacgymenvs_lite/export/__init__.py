@@ -1,1 +1,1 @@
-"""Trained policies as files of other runtimes: isaacgymenvs-lite export."""
+"""Writes trained policies as files for other runtimes: isaacgymenvs-lite export."""

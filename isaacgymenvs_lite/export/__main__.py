@@ -5,11 +5,11 @@
     isaacgymenvs-lite export checkpoint=last task=Ant format=torchscript out=ant.pt
     isaacgymenvs-lite export checkpoint=old.pth task=Ant train=/path/to/AntPPO.yaml
 
-The file takes raw observations and returns actions within the task's limits; the normalisers are
-part of it. `checkpoint` is a .pth file, `last` (the newest one of all runs, or of `task=`), or a
-shipped policy. Task and train settings are read from the run; other words override them as on the
-command line of train.py. Of a robot's task its model is written, too, so that play_onnx.py can play
-the file without this package.
+The exported policy takes raw observations and returns actions within the task's limits, because it
+includes the normalisers. `checkpoint` is a .pth file, `last` (the newest checkpoint of all runs or
+of `task=`), or a shipped policy. Settings of task and training come from the run and can be
+overridden as on the command line of train.py. For a robot's task the model is written, too, so that
+play_onnx.py can play the policy without this package.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _OWN_KEYS = tuple(field.name for field in dataclasses.fields(ExportSettings))
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
+    """Run the command line; return the exit code."""
     words = sys.argv[1:] if arguments is None else arguments
     others = [word for word in words if "=" in word and word.partition("=")[0] not in _OWN_KEYS]
     own = [word for word in words if word not in others]

@@ -1,4 +1,4 @@
-"""Writes the policy of a checkpoint into a file, and compares the two."""
+"""Writes the policy of a checkpoint into a file, and compares file and policy."""
 
 from __future__ import annotations
 
@@ -57,12 +57,17 @@ _PLAIN = {
 
 
 def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> DictConfig:
-    """Return the tree that a policy is played with, on the CPU, in a few environments.
+    """Return the tree for playing a policy on the CPU in a few environments.
 
-    A shipped policy holds its settings, a checkpoint in a run folder belongs to the config.yaml
-    there. With `train=`, or `task=` of another task, the tree is composed anew. The checkpoint is a
-    path, the name of a shipped policy, or `last`: the newest of all runs, or, as in train.py, of
-    the task and train file that the overrides name.
+    A shipped policy contains its settings; the settings of a checkpoint in a run folder are in its
+    config.yaml. With `train=`, or with `task=` of another task, the tree is composed from the
+    files.
+
+    Args:
+        checkpoint: a path, the name of a shipped policy, or `last`, which means the newest
+            checkpoint of all runs or of the task and train file among the overrides.
+        overrides: settings as on the command line of train.py.
+        runs: folder of all runs.
     """
     if not checkpoint:
         raise ConfigError(
@@ -71,7 +76,7 @@ def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> Di
         )
     typed = dict(word.split("=", 1) for word in overrides if "=" in word)
     is_shipped = checkpoint in shipped_policies()
-    # What train.py would play with these words: it decides the task, and what `last` means.
+    # train.py's rules decide the task and the meaning of `last`.
     composes = "task" in typed or (checkpoint == "last" and "train" in typed)
     composed = compose(overrides) if composes else None
     if composed is None or is_shipped:
@@ -106,7 +111,7 @@ _FIRST_LINE = "<!-- Written by isaacgymenvs_lite.export: what the policy was tra
 class Scene:
     """The robot with its drives and sensors on the floor, as MJCF.
 
-    `assets` are the meshes and textures by name, in a folder called as `path`.
+    `assets` are the meshes and textures by name; their folder is named after `path`.
     """
 
     path: Path
@@ -123,18 +128,21 @@ class Scene:
 
 
 def scene_of(task: VecTask, policy: Path) -> Scene | None:
-    """Return what a robot's task simulates, as `<policy>_scene.xml`; None of other tasks.
+    """Return the model of a robot's task for `<policy>_scene.xml`, None for other tasks.
 
-    None too, with a warning, if MuJoCo cannot write the model: the policy does not need it. Raises
-    ConfigError if there is a file of this name that is no earlier scene.
+    The result is also None, with a warning, if MuJoCo cannot write the model, because the policy
+    does not need it.
+
+    Raises:
+        ConfigError: a file of this name exists that no export has written.
     """
     if not isinstance(task, MjcfTask) or task.robot_description() is None:
         return None
     path = policy.with_name(f"{policy.stem}_scene.xml")
     if path.is_file() and not path.read_bytes().startswith(_FIRST_LINE.encode()):
         raise ConfigError(
-            f"{path}: a file that no export wrote has the name of the policy's scene; choose"
-            " another out="
+            f"{path} exists and was not written by an export; choose another out=, because the"
+            " policy's scene would have this name"
         )
     try:
         spec = task.scene()
@@ -145,14 +153,14 @@ def scene_of(task: VecTask, policy: Path) -> Scene | None:
             spec.meshdir = spec.texturedir = path.stem
         return Scene(path, _FIRST_LINE + spec.to_xml(), assets)
     except (ValueError, mujoco.FatalError) as error:
-        log.warning("%s: left out, MuJoCo cannot write it: %s", path, one_line(error))
+        log.warning("%s: not written, because MuJoCo cannot write it: %s", path, one_line(error))
         return None
 
 
 log = logging.getLogger(__name__)
 
 _CHECKED_ROWS = 100
-# Runtimes add float32 numbers in other orders.
+# Runtimes add float32 values in different orders.
 _TOLERANCE = 1e-4
 
 
@@ -164,17 +172,17 @@ class ExportSettings:
     """A .pth file of a run, `last`, or the name of a shipped policy."""
     format: str = setting("onnx", choices=tuple(FORMATS))
     out: str = setting("")
-    """File; '': in the working folder the checkpoint's name, of `last` `policy`, with the format's
-    suffix."""
+    """Path of the file. '' means the checkpoint's name (or `policy` for `last`) with the suffix of
+    the format, in the working folder."""
     runs: str = setting("runs")
-    """Folder of the runs, for `last`."""
+    """Folder of all runs, for `last`."""
 
 
 def export_policy(settings: ExportSettings, overrides: Sequence[str] = ()) -> Path:
     """Write the policy of a checkpoint into one file and return its path.
 
-    The file is run once and compared with the policy. The model of a robot's task is written beside
-    it, see `scene_of`. The overrides are of the configuration, as on the command line of train.py.
+    The exported policy is run once and compared with the original. The model of a robot's task is
+    written next to it, see `scene_of`. The overrides are settings as on train.py's command line.
     """
     kind = FORMATS[settings.format]
     kind.check_packages(settings.format)
@@ -184,7 +192,7 @@ def export_policy(settings: ExportSettings, overrides: Sequence[str] = ()) -> Pa
     if path.suffix != kind.suffix:
         raise ConfigError(f"out={path}: expected a name that ends in {kind.suffix}")
     with load_player(cfg) as player:
-        with contextlib.redirect_stdout(io.StringIO()):  # rl_games' normalisers print their sizes
+        with contextlib.redirect_stdout(io.StringIO()):  # rl_games' normalisers print their shapes
             graph = make_exportable_policy(player)
         metadata = describe(cfg, player, graph, load_checkpoint(cfg.checkpoint))
         scene = scene_of(player.env, path)
@@ -207,7 +215,7 @@ def export_policy(settings: ExportSettings, overrides: Sequence[str] = ()) -> Pa
 
 
 def greatest_difference(graph: PolicyGraph, exported: ExportedPolicy, num_rows: int) -> float:
-    """Return the greatest difference of any output between an export and its policy."""
+    """Return the largest difference between the outputs of an export and its policy."""
     with torch.random.fork_rng(devices=[]):
         inputs = {spec.name: spec.sample(num_rows) for spec in graph.inputs}
     with torch.no_grad():

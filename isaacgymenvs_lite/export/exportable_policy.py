@@ -1,7 +1,7 @@
 """Turns trained policies into plain functions of tensors, which other runtimes can run.
 
-A graph computes one step of a player: deterministic, in float32, on one thread, including the
-task's clamp of observations and the normalisers. It shares its parameters with the player.
+A graph computes one deterministic step of a player in float32, including the task's limits of
+observations and the normalisers. It shares its parameters with the player.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from isaacgymenvs_lite.learning.skills.low_level_policy import LowLevelPolicy, l
 class TensorSpec:
     """An input or an output of a graph: one tensor of n rows.
 
-    The shape leaves n out, which is at `batch_axis`.
+    `shape` does not include n, which is the dimension `batch_axis`.
     """
 
     name: str
@@ -44,14 +44,14 @@ class TensorSpec:
 
 
 class PolicyGraph(nn.Module):
-    """A function of tensors: `forward` takes the inputs and returns the outputs, in their order.
+    """A function of tensors: `forward` takes the inputs and returns the outputs.
 
     Args:
-        player: the rl_games player of the policy.
+        player: rl_games' player of the policy.
 
     Attributes:
-        inputs: the first is `obs`, (n, O), raw as the task returns it.
-        outputs: the first is `action`, (n, A), as the task's `step` applies it.
+        inputs: descriptions of the arguments. The first is `obs` (n, O), raw as from the task.
+        outputs: descriptions of the results. The first is `action` (n, A) for the task's `step`.
     """
 
     inputs: tuple[TensorSpec, ...]
@@ -60,7 +60,7 @@ class PolicyGraph(nn.Module):
     def __init__(self, player: Any) -> None:
         super().__init__()
         env = player.env
-        # rl_games' normalisers are TorchScript, which no exporter reads.
+        # Exporters cannot read rl_games' normalisers, which are TorchScript.
         replace_normalizers(player.model)
         self._clip_obs = env.clip_obs
         self._clip_actions = env.clip_actions
@@ -77,7 +77,7 @@ class PolicyGraph(nn.Module):
 class _MeanActor(nn.Module):
     """Maps raw observations (n, O), and latents (n, Z) of skills, to mean actions (n, A).
 
-    With `clip`, actions are clamped to +-1 and mapped to the limits `low` and `high` (A,).
+    `clip` clamps actions to +-1 and maps them to the limits `low` and `high` (A,).
     """
 
     def __init__(self, model: nn.Module, low: Tensor, high: Tensor, clip: bool) -> None:
@@ -139,7 +139,7 @@ class SACGraph(PolicyGraph):
 
 
 class SkillGraph(PolicyGraph):
-    """GenAMP: obs, latent -> action. The latent (n, Z) need not be of length 1."""
+    """GenAMP: obs, latent -> action. The latent (n, Z) need not have length 1."""
 
     def __init__(self, player: Any) -> None:
         super().__init__(player)
@@ -149,7 +149,7 @@ class SkillGraph(PolicyGraph):
 
     def forward(self, obs: Tensor, latent: Tensor) -> Tensor:
         """Return `outputs` of `inputs`."""
-        own = self._clamped_obs(obs)[:, : self._num_policy_obs]  # without an ignored goal
+        own = self._clamped_obs(obs)[:, : self._num_policy_obs]  # without the goal
         action = self._actor(own, F.normalize(latent, dim=-1))
         return self._clamped_action(action)
 
@@ -157,9 +157,9 @@ class SkillGraph(PolicyGraph):
 class HierarchyGraph(PolicyGraph):
     """HRL, both levels: obs, latent, decide -> action, latent.
 
-    Where `decide` (n,) bool is True the high level chooses a new latent (n, Z); elsewhere the input
-    latent stays. It must be True in the first step of an episode and in every `llc_steps`-th step
-    after it.
+    The high level chooses a new latent (n, Z) where `decide` (n,) bool is True and keeps the given
+    latent elsewhere. `decide` must be True in the first step of an episode and in every
+    `llc_steps`-th step after it.
     """
 
     def __init__(self, player: Any) -> None:
@@ -184,10 +184,10 @@ class HierarchyGraph(PolicyGraph):
 
 
 class RecurrentGraph(PolicyGraph):
-    """PPO with memory: obs, hidden (and cell of an LSTM) -> action, hidden (, cell).
+    """PPO with memory: obs, hidden (and cell of an LSTM) -> action, hidden (and cell).
 
-    States (layers, n, units) are zero at the start of an episode. The memory of a separate critic
-    is left out.
+    States (layers, n, units) are zero at the start of an episode. The graph has no memory of a
+    separate critic.
     """
 
     def __init__(self, player: Any) -> None:
@@ -211,7 +211,7 @@ class RecurrentGraph(PolicyGraph):
 
 
 def make_exportable_policy(player: Any) -> PolicyGraph:
-    """Return the policy of a player whose checkpoint is loaded, on the CPU."""
+    """Return the graph of a player on the CPU that has loaded its checkpoint."""
     if isinstance(player, HRLPlayer):
         kind: type[PolicyGraph] = HierarchyGraph
     elif isinstance(player, GenAMPPlayerContinuous):

@@ -26,7 +26,7 @@ from isaacgymenvs_lite.utils.optional_packages import require
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
-# Rows of the example inputs; exporters treat 0 and 1 as constants.
+# Rows of the example inputs, because exporters treat 0 and 1 as constants.
 _EXAMPLE_ROWS = 3
 _METADATA_FILE = "metadata.json"
 _VERBOSE_LOGGERS = ("torch.onnx", "onnxscript", "onnx_ir")
@@ -34,19 +34,19 @@ _VERBOSE_LOGGERS = ("torch.onnx", "onnxscript", "onnx_ir")
 
 @dataclass(frozen=True)
 class ExportedPolicy:
-    """An exported policy that can be called, and its metadata, see `metadata.describe`."""
+    """A callable exported policy with its metadata, see `metadata.describe`."""
 
     metadata: dict[str, Any]
     run: Callable[[Arrays], dict[str, npt.NDArray[Any]]]
 
     def __call__(self, inputs: Arrays) -> dict[str, npt.NDArray[Any]]:
-        """Return the outputs, by name, for all inputs, by name."""
+        """Return the outputs by name for the inputs by name."""
         return self.run(inputs)
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format of exported policies: suffix, packages beside torch, writer and reader."""
+    """A format of exported policies: suffix, packages in addition to torch, writer and reader."""
 
     suffix: str
     packages: tuple[str, ...]
@@ -54,7 +54,11 @@ class Format:
     load: Callable[[Path], ExportedPolicy]
 
     def check_packages(self, name: str) -> None:
-        """Raise a MissingPackageError if a package is not installed."""
+        """Check that the packages are installed.
+
+        Raises:
+            MissingPackageError: a package is missing.
+        """
         for package in self.packages:
             require(package, f"format={name}", otherwise="choose format=torchscript")
 
@@ -107,7 +111,7 @@ def _write_onnx(graph: PolicyGraph, metadata: dict[str, Any]) -> bytes:
             dynamic_shapes=tuple({spec.batch_axis: batch} for spec in graph.inputs),
         )
     assert program is not None
-    # ONNX stores strings only: text as it is, other values as JSON.
+    # ONNX stores only strings, so values other than texts are stored as JSON.
     program.model.metadata_props.update(
         {
             key: value if isinstance(value, str) else json.dumps(value)
@@ -145,7 +149,7 @@ def _write_torchscript(graph: PolicyGraph, metadata: dict[str, Any]) -> bytes:
     file = io.BytesIO()
     with _quiet(), torch.no_grad():
         traced = torch.jit.trace(graph, _example(graph), check_trace=False)
-        frozen = torch.jit.freeze(traced)  # drops what only a training needs
+        frozen = torch.jit.freeze(traced)  # drops everything that only a training needs
         torch.jit.save(frozen, file, _extra_files={_METADATA_FILE: json.dumps(metadata)})
     return file.getvalue()
 
@@ -172,4 +176,4 @@ FORMATS = {
     "onnx": Format(".onnx", ("onnx", "onnxscript", "onnxruntime"), _write_onnx, _load_onnx),
     "torchscript": Format(".pt", (), _write_torchscript, _load_torchscript),
 }
-"""Formats by the names that `format=` takes."""
+"""Formats by their names for `format=`."""

@@ -1,4 +1,4 @@
-"""Describes an exported policy, so that the file is all that it takes to drive a robot."""
+"""Describes an exported policy, so that the file alone is enough to drive a robot."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from isaacgymenvs_lite.simulation.state_buffers import StateConverter
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 FORMAT_VERSION = 2
-"""Of the keys that `describe` returns."""
+"""Version of the keys that `describe` returns."""
 
 
 def describe(
@@ -29,7 +29,7 @@ def describe(
 ) -> dict[str, Any]:
     """Return the metadata of an exported policy; all values can be written as JSON.
 
-    `cfg` is the composed tree that the policy is played with, `state` its checkpoint's.
+    `cfg` is the composed tree of the policy, and `state` is the content of its checkpoint.
     """
     task: VecTask = player.env
     option = task.simulation.model.opt
@@ -88,7 +88,7 @@ def _observations(task: VecTask) -> list[dict[str, Any]]:
     starts = itertools.accumulate(groups.values(), initial=0)
     parts = []
     for (group, size), start in zip(groups.items(), starts, strict=False):
-        # A history has `dof_vel_2` for the `dof_vel` of two control steps before.
+        # A history calls the `dof_vel` of two control steps ago `dof_vel_2`.
         stem, _, number = group.rpartition("_")
         is_older = number.isdecimal() and stem in groups
         name, age = (stem, int(number)) if is_older else (group, 0)
@@ -103,10 +103,11 @@ def _enum_name(value: Any) -> str:
 
 
 def _robot(task: VecTask) -> dict[str, Any]:
-    """Return joints, root and key bodies of the robot; null and empty where the task is silent.
+    """Return joints, root and key bodies of the robot; missing values are null or empty.
 
-    In MuJoCo's coordinates: position (m) and quaternion wxyz of the root, its velocities in world
-    axes (m/s) and in its own (rad/s); angles of hinges (rad), quaternions wxyz of ball joints.
+    All values are in MuJoCo's coordinates: the root has a position (m), a quaternion wxyz, a linear
+    velocity in world axes (m/s) and an angular velocity in its own axes (rad/s). Hinges have angles
+    (rad), ball joints have quaternions wxyz.
     """
     model, described = task.simulation.model, task.robot_description()
     layout = ModelLayout.from_model(model)
@@ -142,11 +143,12 @@ def _action_names(task: VecTask) -> list[str]:
 
 
 def drives_of(model: mujoco.MjModel) -> list[dict[str, Any]]:
-    """Return the actuators: name, stiffness, damping (0 of motors), effort limit (None: without).
+    """Return name, stiffness, damping (0 for motors) and effort limit (or None) of all actuators.
 
-    In Nm/rad, Nm s/rad and Nm of hinges and ball joints; N/m, N s/m and N of slides. Of actuators
-    on joints also the joint, its armature (kg m^2, of slides kg) and the first three numbers of the
-    gear: of a ball joint the axis of the torque, in the frame of its body.
+    The units are Nm/rad, Nm s/rad and Nm for hinges and ball joints, and N/m, N s/m and N for
+    slides. An actuator on a joint also has the joint, its armature (kg m^2, kg for slides) and the
+    first three values of the gear, which are the torque's axis in the body's frame for a ball
+    joint.
     """
     drives = []
     for i in range(model.nu):

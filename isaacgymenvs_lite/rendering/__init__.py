@@ -1,1 +1,1 @@
-"""Pictures and videos of robots, drawn without a screen."""
+"""Draws pictures and videos of robots without a screen."""

@@ -11,7 +11,11 @@ _INSTEAD = "headless=True with viewer=web for a browser, or with capture_video=T
 
 
 def check_display(setting: str = "headless=False", instead: str = _INSTEAD) -> None:
-    """Raise a ConfigError that names what works `instead` if no window can be opened."""
+    """Check that a window can be opened.
+
+    Raises:
+        ConfigError: no window can be opened; the message proposes `instead`.
+    """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # GLFW's reason why not

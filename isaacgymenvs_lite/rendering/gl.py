@@ -1,8 +1,8 @@
-"""The choice of an OpenGL library that draws without a screen.
+"""Chooses an OpenGL library that draws without a screen.
 
-MuJoCo reads the environment variable MUJOCO_GL when it is imported, and by default takes a library
-that needs a screen. `ensure_gl` makes the choice later, before the first picture, so that no
-variable has to be set before Python starts.
+MuJoCo reads the environment variable MUJOCO_GL when it is imported; its default library needs a
+screen. `ensure_gl` chooses a library later, before the first picture, so that users need not set a
+variable.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from isaacgymenvs_lite.errors import UserError
 
 log = logging.getLogger(__name__)
 
-# Libraries that render without a screen on Linux, in the order of trying: EGL on the GPU or with
-# Mesa's drivers, OSMesa in software only.
+# Libraries that render without a screen on Linux, in the order in which they are tried. EGL uses
+# the GPU or Mesa's drivers, OSMesa renders in software.
 _BACKENDS = ("egl", "osmesa")
 _PLATFORM_VARIABLE = "PYOPENGL_PLATFORM"
 GL_MODULES = ("OpenGL", "mujoco.egl", "mujoco.osmesa")
@@ -33,15 +33,16 @@ class RenderingError(UserError, RuntimeError):
 
 @functools.cache
 def ensure_gl() -> str:
-    """Choose a library for MuJoCo to draw without a screen, and return its name.
+    """Choose a library with which MuJoCo draws without a screen, and return its name.
 
-    A value of MUJOCO_GL in the environment is respected. Otherwise EGL is tried, then OSMesa,
-    and MUJOCO_GL is set to the one that works. Off Linux MuJoCo's own choice is kept.
+    A value of MUJOCO_GL in the environment is respected. Otherwise EGL is tried, then OSMesa, and
+    MUJOCO_GL is set to the library that works. MuJoCo's default is kept on other systems than
+    Linux.
 
     Raises:
-        RenderingError: none works; the message names the Debian packages.
+        RenderingError: no library works; the message names the Debian packages.
     """
-    logging.getLogger("OpenGL").setLevel(logging.WARNING)  # it logs its own installation
+    logging.getLogger("OpenGL").setLevel(logging.WARNING)  # PyOpenGL logs its own installation
     given = os.environ.get("MUJOCO_GL", "")
     candidates = _BACKENDS if platform.system() == "Linux" and not given else (given,)
     reasons = []
@@ -49,7 +50,7 @@ def ensure_gl() -> str:
         platform_before = os.environ.get(_PLATFORM_VARIABLE)
         try:
             try_backend(name)
-        except Exception as error:  # a library that is missing or broken raises all kinds
+        except Exception as error:  # a missing or broken library raises errors of many types
             reasons.append(f"{name or 'default'}: {' '.join(str(error).split())}")
             log.debug("MUJOCO_GL=%s does not work", name, exc_info=True)
             _forget_backend(platform_before)
@@ -61,7 +62,7 @@ def ensure_gl() -> str:
 
 
 def try_backend(name: str) -> None:
-    """Choose a library and draw a picture with it; raises the library's errors."""
+    """Choose a library and draw a picture with it; the library's errors are raised."""
     from mujoco.rendering.classic import gl_context
 
     if name:
@@ -73,7 +74,7 @@ def try_backend(name: str) -> None:
 
 
 def _forget_backend(platform_before: str | None) -> None:
-    """Undo the import of a library: PyOpenGL binds itself to one for the life of its modules."""
+    """Undo the import of a library, because PyOpenGL's modules are bound to one library."""
     for module in list(sys.modules):
         if any(module == name or module.startswith(f"{name}.") for name in GL_MODULES):
             del sys.modules[module]

@@ -1,4 +1,4 @@
-"""Markers: shapes that a picture shows beside robots, such as an arrow in the target direction."""
+"""Adds markers to pictures of robots, for example an arrow in the target direction."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 Point = tuple[float, float, float]
-"""m, world."""
+"""A position in the world frame (m)."""
 Colour = tuple[float, float, float]
-"""Red, green, blue, 0 to 1."""
+"""Red, green and blue, 0 to 1."""
 
-# Unlike anything in the scenes of the humanoids, whose ground is grey and sky is blue.
+# This colour differs from the grey ground and the blue sky of the humanoids' scenes.
 GO_COLOUR: Colour = (0.9, 0.15, 0.1)
 FACE_COLOUR: Colour = (1.0, 0.8, 0.1)
 ACTUAL_COLOUR: Colour = (0.1, 0.7, 0.2)
@@ -47,7 +47,7 @@ Marker = Arrow | Sphere
 def arrow_on_ground(
     xy_w: tuple[float, float], direction: tuple[float, float], colour: Colour
 ) -> Arrow:
-    """Return an arrow just above the ground, beside a character, in a direction (unit vector)."""
+    """Return an arrow just above the ground next to a character; its direction is a unit vector."""
     (x, y), (dx, dy) = xy_w, direction
     near, far, height = 0.3, 1.0, 0.03
     return Arrow(
@@ -56,7 +56,7 @@ def arrow_on_ground(
 
 
 def add_markers(scene: mujoco.MjvScene, markers: Iterable[Marker]) -> None:
-    """Add markers to a scene, as many as it has room for."""
+    """Add markers to a scene until the scene is full."""
     for marker in markers:
         if scene.ngeom == scene.maxgeom:
             return
@@ -77,9 +77,9 @@ def add_geom(
     place_w: npt.NDArray[np.float64] | None = None,
     colour: Colour = (1.0, 1.0, 1.0),
 ) -> mujoco.MjvGeom:
-    """Add a shape, of a kind in `mujoco.mjtGeom`, to a scene that has room for it, and return it.
+    """Add a shape of a type of `mujoco.mjtGeom` to a scene that is not full, and return it.
 
-    `size` (3,) m is as in MuJoCo's geoms of this kind; `place_w` (3,) m is the centre.
+    `size` (3,) m has the meaning of MuJoCo's geoms of this type; `place_w` (3,) m is the centre.
     """
     geom = scene.geoms[scene.ngeom]
     size = np.zeros(3) if size is None else size
@@ -91,10 +91,10 @@ def add_geom(
 
 
 class RobotOverlay:
-    """Adds a translucent robot to a scene, such as the reference motion of an imitation.
+    """Adds a translucent robot to a scene, for example the reference motion of an imitation.
 
     Args:
-        model: of the scene; the robot is the tree of its first joint.
+        model: model of the scene. The robot is the tree of the model's first joint.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -103,7 +103,7 @@ class RobotOverlay:
         self._option, self._perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
 
     def add_to(self, scene: mujoco.MjvScene, qpos: npt.NDArray[np.float64]) -> None:
-        """Add the robot at joint positions `qpos` (nq,) to a scene."""
+        """Add the robot in the pose `qpos` (nq,) to a scene."""
         model, data = self._model, self._data
         root = int(model.jnt_bodyid[0])
         data.qpos[: len(qpos)] = qpos

@@ -1,4 +1,4 @@
-"""Pictures of a MuJoCo model in given poses."""
+"""Draws pictures of a MuJoCo model in given poses."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.markers import Marker, add_geom, add_markers
 from isaacgymenvs_lite.rendering.view import View, has_free_root
 
-# Half the side of the piece that is drawn, and how far a robot may go before it is replaced.
+# Half the side of the drawn piece of terrain, and the distance after which it is replaced.
 _HALF_SIDE_M = 14.0
 _STEP_M = 4.0
-# Half the side of the square whose mean height is "the ground" at a place.
+# Half the side of the square whose mean height is the height of the ground.
 _GROUND_HALF_SIDE_M = 1.0
 
 
 class TerrainWindow:
     """The piece of a model's height field around a place.
 
-    `move` makes the model's height field the smaller one. Models without one are left alone.
+    `move` replaces the model's height field by the piece. A model without a height field does not
+    change.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -39,20 +40,20 @@ class TerrainWindow:
         (geoms,) = np.nonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_HFIELD))
         self._geom = int(geoms[0])
         self._place = model.geom_pos[self._geom].copy()
-        # MuJoCo would not move a geom that has its body's frame.
+        # MuJoCo does not move a geom that shares its body's frame.
         model.geom_sameframe[self._geom] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
-        # m from one number to the next, along x and y
+        # distances (m) between the points along x and y
         self._cell = 2.0 * self._size[:2] / (np.array((columns, rows)) - 1)
 
     def height(self, xy: npt.NDArray[np.float64]) -> float:
-        """Return the mean height (m) of the ground about `xy` (2,); 0 without a height field."""
+        """Return the mean height (m) of the ground around `xy` (2,); 0 without a height field."""
         if self._model.nhfield == 0:
             return 0.0
         (x0, x1), (y0, y1) = self._range(xy, _GROUND_HALF_SIDE_M)
         return float(self._place[2] + self._size[2] * self._heights[y0:y1, x0:x1].mean())
 
     def move(self, xy: npt.NDArray[np.float64]) -> bool:
-        """Make the piece around `xy` (2,) the model's height field; return whether it changed."""
+        """Move the drawn piece to `xy` (2,); return whether it changed."""
         if self._model.nhfield == 0:
             return False
         if self._centre_xy is not None and np.abs(xy - self._centre_xy).max() < _STEP_M:
@@ -71,11 +72,11 @@ class TerrainWindow:
     def _range(
         self, xy: npt.NDArray[np.float64], half_side_m: float
     ) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Return the columns and the rows (first, end) within `half_side_m` of `xy`."""
+        """Return columns and rows as (first, end) within `half_side_m` of `xy`."""
         at = (np.asarray(xy) - self._place[:2] + self._size[:2]) / self._cell
         reach = half_side_m / self._cell
         ends = np.array(self._heights.shape[::-1])
-        # At least two cells, also for a robot that left the terrain.
+        # A robot that has left the terrain still needs two cells.
         low = np.clip(np.floor(at - reach), 0, ends - 2).astype(int)
         high = np.clip(np.ceil(at + reach) + 1, low + 2, ends).astype(int)
         return (int(low[0]), int(high[0])), (int(low[1]), int(high[1]))
@@ -84,31 +85,33 @@ class TerrainWindow:
 Image = npt.NDArray[np.uint8]
 """(height, width, 3), RGB."""
 Track = npt.NDArray[np.float64]
-"""(T, nq), joint positions of one figure at T times, in MuJoCo's order and conventions."""
+"""(T, nq) MuJoCo's qpos of one figure at T times."""
 
-# MuJoCo derives the clipping planes from the size of the model. A terrain's size would cut off the
-# robot, hence at most this many distances of the camera.
+# MuJoCo derives the clipping planes from the size of the model. The size of a terrain would clip
+# the robot, so the size is limited to this multiple of the camera's distance.
 _MAX_EXTENT = 0.7
-# Half the width of the area in which shadows are drawn, in distances of the camera: with MuJoCo's
-# default, one size of the model, the shadow map ends within the picture, as noise on the floor.
+# Half the width of the area with shadows, as a multiple of the camera's distance. MuJoCo's default,
+# the size of the model, would end within the picture, as noise on the floor.
 _SHADOW_HALF_WIDTH = 4.2
-# Height of the light above the point looked at, in distances of the camera: over the robot's head.
+# Height of the light above the camera's target, as a multiple of the camera's distance.
 _LIGHT_ABOVE = 0.45
-# Texels of the shadow map, samples of a pixel, faces around and along a sphere: the model's 4096
-# and MuJoCo's 4, 28 and 16 take most of the time of a picture that is rendered in software.
+# Texels of the shadow map, samples of a pixel, faces around and along a sphere. The model's 4096
+# and MuJoCo's 4, 28 and 16 would take most of the time of rendering in software.
 _FAST_SHADOW_SIZE, _FAST_SAMPLES, _FAST_FACES = 1024, 0, (16, 8)
 _FLOOR_STEP_M = 10.0
-# Left edge and base line of a label: pixels from the left and from the top. Letters have one size
-# in every picture, so that a share of the picture would cut them in a small one.
+# Left edge and base line of a label in pixels from the left and from the top. They do not depend on
+# the size of the picture, because the size of the letters does not either.
 _LABEL_LEFT, _LABEL_BASE = 10, 26
 
 
 class SceneRenderer:
-    """Draws one model, which is not changed; the camera follows a free root body.
+    """Draws one model, which does not change; the camera follows a free root body.
 
-    Use it in a `with` statement. The default view shows the whole of a model that is fixed to the
-    world. `fast` leaves out smooth edges and reflections, for videos rendered in software. Raises
-    RenderingError if no OpenGL library works without a screen.
+    Use it in a `with` statement. The default view shows all of a model that is fixed to the world.
+    `fast` leaves out smooth edges and reflections, for videos that are rendered in software.
+
+    Raises:
+        RenderingError: no OpenGL library works without a screen.
     """
 
     def __init__(
@@ -128,7 +131,7 @@ class SceneRenderer:
             view = View() if has_free_root(model) else View.of_model(model)
         self._view = view
         self._ground = TerrainWindow(model)
-        self._ground.move(np.zeros(2))  # the renderer is slow with the whole terrain
+        self._ground.move(np.zeros(2))  # rendering the whole terrain is slow
         self._camera = mujoco.MjvCamera()
         self._camera.azimuth, self._camera.elevation = view.azimuth_deg, view.elevation_deg
         self._camera.distance = view.distance_m
@@ -150,24 +153,24 @@ class SceneRenderer:
         markers: Sequence[Marker] = (),
         look_at: npt.ArrayLike | None = None,
     ) -> Image:
-        """Return a picture of the model at joint positions `qpos` (nq,), with a label and markers.
+        """Return a picture of the model in the pose `qpos` (nq,), with a label and markers.
 
-        The camera looks at the root of the joint positions `look_at`, by default `qpos`.
+        The camera looks at the root of the pose `look_at`, by default `qpos`.
         """
         self._data.qpos[:] = qpos
         self._aim(np.asarray(qpos if look_at is None else look_at)[:3])
-        # The part of mj_forward that a picture needs: all poses.
+        # A picture needs only the poses of mj_forward.
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        # The shadow map is centred at the light: the point looked at has to be there. It starts at
-        # the light: a low one leaves out distant floor, which would have speckles.
+        # The shadow map is centred at the light, which must therefore be above the camera's target.
+        # It starts at the height of the light; a low light avoids speckles on distant floor.
         self._data.light_xpos[:, :2] += self._camera.lookat[:2]
         self._data.light_xpos[:, 2] = self._camera.lookat[2] + _LIGHT_ABOVE * self._camera.distance
         mujoco.mj_tendon(self._model, self._data)
         self._renderer.update_scene(self._data, self._camera)
         if np.linalg.norm(self._camera.lookat - self._floor_at) > _FLOOR_STEP_M:
-            # MuJoCo centres an infinite floor at the previous position of the camera.
+            # MuJoCo centres an infinite floor at the camera's previous position.
             self._floor_at = self._camera.lookat.copy()
             self._renderer.update_scene(self._data, self._camera)
         if self._fast:
@@ -189,13 +192,13 @@ class SceneRenderer:
         lookat[:] = (*root[:2], below + view.look_at_height_m)
 
     def _upload_ground(self) -> None:
-        # MuJoCo's Renderer has no method for it.
+        # MuJoCo's Renderer has no public method for this.
         renderer: Any = self._renderer
         renderer._gl_context.make_current()
         mujoco.mjr_uploadHField(self._model, renderer._mjr_context, 0)
 
     def _add_label(self, text: str) -> None:
-        """Write into the upper left corner, in the plane through the point looked at."""
+        """Write into the upper left corner, in the plane through the camera's target."""
         camera = self._camera
         azimuth, elevation = np.deg2rad(camera.azimuth), np.deg2rad(camera.elevation)
         to_the_right = np.array((np.sin(azimuth), -np.cos(azimuth), 0.0))

@@ -1,11 +1,11 @@
-"""Tracks: recorded motion as MuJoCo joint positions over time, and pictures of the current state.
+"""Records motion as tracks of MuJoCo's qpos, and draws pictures of the current state.
 
     recorder = PoseRecorder(env, num_steps=150)
     ...                                             # recorder.step() after each env.step
     (track,) = recorder.tracks()
 
-Recording copies a few numbers per step, so that drawing does not slow down a training or a
-measurement; `video` draws tracks later.
+Recording copies a few values per step and does not slow down a training or a measurement; `video`
+draws tracks later.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from isaacgymenvs_lite.rendering.view import View
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.simulation.state_buffers import StateConverter
 
-_ROOT = 7  # numbers of a free joint: position, quaternion
+_ROOT = 7  # a free joint has a position and a quaternion
 
 
 class TrackMaker:
-    """Makes tracks of states in the layout of `SimulationBackend`."""
+    """Makes tracks from states in the layout of `SimulationBackend`."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         layout = ModelLayout.from_model(model)
@@ -41,7 +41,7 @@ class TrackMaker:
     ) -> Track:
         """Return the track of root states (T, 7 or more), DOFs (T, D), object states (T, K, 13).
 
-        Without states, the objects stay at their places in the model.
+        Objects without states keep their places in the model.
         """
         roots = torch.zeros(len(dof_pos), 13)
         roots[:, :_ROOT] = root_states[:, :_ROOT]
@@ -67,7 +67,7 @@ class PoseRecorder:
         self._states: list[tuple[Tensor, Tensor, Tensor]] = []
 
     def step(self) -> None:
-        """Record the current state; call it after `env.step`, before resets."""
+        """Record the current state after `env.step` and before resets."""
         if len(self._states) < self._num_steps:
             simulation = self._simulation
             state = (simulation.root_states, simulation.dof_pos, simulation.object_states)
@@ -76,19 +76,19 @@ class PoseRecorder:
             self._markers.append(tuple(self._markers_of(env_id) for env_id in self._ids.tolist()))
 
     def tracks(self) -> list[Track]:
-        """Return one track for each environment, of the recorded steps; [] before the first."""
+        """Return a track of the recorded steps for each environment; [] before the first step."""
         if not self._states:
             return []
         columns = [torch.stack(column, dim=1) for column in zip(*self._states, strict=True)]
         return [self._maker.track(*states) for states in zip(*columns, strict=True)]
 
     def markers(self) -> list[tuple[tuple[Marker, ...], ...]]:
-        """Return the markers beside the figures: for each step, for each environment."""
+        """Return the markers of each step and environment."""
         return list(self._markers)
 
 
 def markers_of(env: Any) -> Callable[[int], tuple[Marker, ...]]:
-    """Return the function from an environment's number to what is drawn beside its figure."""
+    """Return a function that returns the markers of an environment."""
     return getattr(env, "markers", lambda env_id: ())
 
 
@@ -100,14 +100,14 @@ class PoseReader:
         self._maker = TrackMaker(env.simulation.model)
 
     def __call__(self, env_id: int) -> npt.NDArray[np.float64]:
-        """Return the joint positions (nq,) of an environment, objects included."""
+        """Return qpos (nq,) of an environment, including objects."""
         simulation = self._simulation
         states = (simulation.root_states, simulation.dof_pos, simulation.object_states)
         return self._maker.track(*(of_all[env_id : env_id + 1] for of_all in states))[0]
 
 
 class TaskCamera:
-    """Draws the current state of a task's environments; OpenGL is loaded with the first picture."""
+    """Draws the current state of a task's environments; the first picture loads OpenGL."""
 
     def __init__(self, task: Any, width: int = 320, height: int = 240) -> None:
         self._task = task
@@ -115,7 +115,7 @@ class TaskCamera:
         self._renderer: SceneRenderer | None = None
 
     def draw(self, env_ids: Sequence[int]) -> list[Image]:
-        """Return a picture (height, width, 3) of each of the environments."""
+        """Return a picture (height, width, 3) for each of the given environments."""
         if self._renderer is None:
             model = self._task.simulation.model
             view = View.of_model(model)

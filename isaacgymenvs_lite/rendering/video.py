@@ -1,10 +1,9 @@
-"""Video files of robots: drawn without a display, encoded without the system's ffmpeg.
+"""Writes videos of robots, without a display and without the system's ffmpeg.
 
     images = draw_tracks(env.simulation.model, tracks, labels=("reference", "policy"))
     save_video("walk.mp4", images, fps=1.0 / env.dt)
 
-PyAV encodes: it brings FFmpeg's libraries as a wheel, works in the process picture by picture, and
-decodes as well, for the tests.
+PyAV encodes the pictures one by one in this process; its wheel includes FFmpeg's libraries.
 """
 
 from __future__ import annotations
@@ -24,20 +23,24 @@ from isaacgymenvs_lite.rendering.view import View
 from isaacgymenvs_lite.utils.optional_packages import import_package, require
 
 PANEL_WIDTH, PANEL_HEIGHT = 320, 480
-"""Pixels of one track's panel."""
+"""Size of a track's panel in pixels."""
 
-# Suffix -> encoder, its options, options of the container. The options: at 20 H.264 looks like the
-# original; animated WebP is for pages that show pictures but no videos, such as a README.
+# Maps each suffix to the encoder, its options and the container's options. H.264 looks like the
+# original at crf 20. Animated WebP is for pages without videos, such as a README.
 _FORMATS: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
     ".mp4": ("libx264", {"crf": "20", "preset": "veryfast"}, {"movflags": "+faststart"}),
     ".webp": ("libwebp_anim", {"quality": "60"}, {"loop": "0"}),
 }
 _ENCODER, _PURPOSE = "av", "writing videos"
-_PIXEL_FORMAT = "yuv420p"  # what every player and browser shows
+_PIXEL_FORMAT = "yuv420p"  # every player and browser shows this format
 
 
 def check_encoder() -> None:
-    """Raise a MissingPackageError if videos cannot be encoded."""
+    """Check that videos can be encoded.
+
+    Raises:
+        MissingPackageError: PyAV is not installed.
+    """
     require(_ENCODER, _PURPOSE)
 
 
@@ -54,11 +57,11 @@ def draw_tracks(
     view: View | None = None,
     follow: bool = True,
 ) -> Iterator[Image]:
-    """Draw tracks (T, nq) in panels, each with a camera of its own, until the shortest one ends.
+    """Draw tracks (T, nq) in panels with their own cameras, until the shortest track ends.
 
-    Yields a picture (rows * height, columns * width, 3) for each time; panels that remain are
-    black. `markers` are what else to draw at each time in each panel. Without `follow` the cameras
-    stay at the robots' first places.
+    The generator yields a picture (rows * height, columns * width, 3) for each time; unused panels
+    are black. `markers` are drawn at each time in each panel. Without `follow` the cameras stay at
+    the robots' first places.
     """
     labels = labels or [""] * len(tracks)
     columns = columns or len(tracks)
@@ -79,9 +82,10 @@ def draw_tracks(
 
 
 def save_video(path: str | Path, images: Iterable[Image], fps: float) -> Path:
-    """Write pictures (height, width, 3) as .mp4 or .webp; returns the path.
+    """Write pictures (height, width, 3) as .mp4 or .webp; return the path.
 
-    They have one size, both numbers even. No file is written if there is no picture.
+    All pictures have the same size, with even height and width. Without pictures no file is
+    written.
     """
     path = Path(path)
     if path.suffix not in _FORMATS:
@@ -101,12 +105,12 @@ def save_video(path: str | Path, images: Iterable[Image], fps: float) -> Path:
                 frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
                 container.mux(stream.encode(frame))
             if is_written:
-                container.mux(stream.encode(None))  # what is left
+                container.mux(stream.encode(None))  # the remaining packets
     except OSError as error:
         is_written = False
         raise ConfigError(
-            f"cannot write the video {path.absolute()} ({error.strerror}); expected a folder that"
-            " exists, can be written and has room"
+            f"cannot write the video {path.absolute()} ({error.strerror}); expected an existing"
+            " folder that can be written and has space"
         ) from error
     finally:
         if not is_written:

@@ -1,4 +1,4 @@
-"""Views: the direction, distance and target of a camera that shows a model."""
+"""Computes the direction, distance and target of a camera that shows a model."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy.typing as npt
 
 Points = npt.NDArray[np.float64]
 
-# Distances in half diagonals of what is shown: a moving robot with room around it, and a fixed one
-# as a whole.
+# Distances as multiples of half the model's diagonal: a moving robot with space around it, and a
+# fixed robot as a whole.
 _ROOM, _WHOLE = 2.6, 2.1
-_MARGIN = 1.4  # the near side is nearer than the root
+_MARGIN = 1.4  # the near side is closer to the camera than the root
 _MIN_DISTANCE_M = 1.6
-# A robot that is this high above the ground in its default pose flies.
+# A robot flies if it is this high above the ground in its default pose.
 _FLIES_M = 0.3
 _ELEVATION_DEG = -12.0
-# On rough ground the picture shows steps and slopes around the robot.
+# Pictures on rough ground show steps and slopes around the robot.
 _TERRAIN_ELEVATION_DEG, _TERRAIN_DISTANCE_M = -20.0, 3.0
-# Floors do not count for the size of a model.
+# Floors do not belong to the size of a model.
 _GROUNDS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 
 
@@ -28,22 +28,22 @@ _GROUNDS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 class View:
     """A camera; the defaults show a humanoid from its right side."""
 
-    azimuth_deg: float = 90.0  # where the camera looks: 90 along +y, 180 along -x
-    elevation_deg: float = -4.0  # negative looks down
-    distance_m: float = 2.5  # from the camera to where it looks
-    # Height of that point above the ground; of a figure that flies above its root; of one that does
-    # not move about above the origin.
+    azimuth_deg: float = 90.0  # direction in which the camera looks: 90 along +y, 180 along -x
+    elevation_deg: float = -4.0  # negative values look down
+    distance_m: float = 2.5  # distance from the camera to its target
+    # Height of the target above the ground, above the root of a flying robot, or above the origin
+    # for a fixed model.
     look_at_height_m: float = 0.82
-    # Where it looks if the figure does not move about.
+    # The target for a fixed model.
     centre_xy_m: tuple[float, float] = (0.0, 0.0)
-    moves_about: bool = True  # whether the camera looks at a root body
+    moves_about: bool = True  # whether the camera follows a root body
     flies: bool = False  # whether the camera also follows the root's height
 
     @classmethod
     def of_model(cls, model: mujoco.MjModel, aspect: float = 4 / 3) -> View:
-        """Return a view that fits a model in its default pose, for pictures of this aspect.
+        """Return a view of a model in its default pose, for pictures of this aspect ratio.
 
-        A robot with a free root is seen from its right side, anything else across its longer side.
+        A robot with a free root is seen from its right side, another model across its longer side.
         """
         moves_about = has_free_root(model)
         low, high = _bounds(model, moves_about)
@@ -57,7 +57,7 @@ class View:
         terrain = model.nhfield > 0
         flies = not terrain and float(low[2]) > _FLIES_M
         nearest_m = _TERRAIN_DISTANCE_M if terrain else _MIN_DISTANCE_M
-        # In a narrow picture the length counts, of the robot about its root.
+        # The length of the robot decides the distance in a narrow picture.
         half_angle = np.deg2rad(float(model.vis.global_.fovy) / 2)
         from_root = np.abs(np.array((low, high))[:, :2] - model.qpos0[:2])
         half_length = float(from_root.max())
@@ -71,7 +71,7 @@ class View:
 
 
 def aim_camera(camera: mujoco.MjvCamera, model: mujoco.MjModel) -> None:
-    """Set the camera of a viewer to the view of a model; it follows a robot."""
+    """Set a viewer's camera to the view of a model, so that it follows a robot."""
     view = View.of_model(model)
     camera.azimuth, camera.elevation = view.azimuth_deg, view.elevation_deg
     camera.distance = view.distance_m
@@ -83,14 +83,14 @@ def aim_camera(camera: mujoco.MjvCamera, model: mujoco.MjModel) -> None:
 
 
 def has_free_root(model: mujoco.MjModel) -> bool:
-    """Return whether the first joint of a model is free: a robot that moves about."""
+    """Return whether the first joint of a model is free."""
     return model.njnt > 0 and int(model.jnt_type[0]) == int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 def _bounds(model: mujoco.MjModel, moves_about: bool) -> tuple[Points, Points]:
-    """Return the lowest and highest coordinates (3,) m of what a model shows in its default pose.
+    """Return the smallest and largest coordinates (3,) m of a model's shapes in its default pose.
 
-    Of one that moves about, only the first body's tree counts.
+    Only the first body's tree counts in a model that moves about.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

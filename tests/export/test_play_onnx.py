@@ -232,7 +232,7 @@ def test_a_file_that_no_export_wrote_is_kept(make_player, tmp_path) -> None:
     player = make_player()
     policy, own = tmp_path / "g1.onnx", tmp_path / "g1_scene.xml"
     own.write_text("<mujoco/>")
-    with pytest.raises(ConfigError, match=r"g1_scene\.xml: a file that no export wrote"):
+    with pytest.raises(ConfigError, match=r"g1_scene\.xml exists and was not written by an export"):
         scene_of(player.env, policy)
     own.unlink()
     write_scene(player, policy)
