@@ -1,1 +1,1 @@
-"""Commands that stand on top of the package: check, demo, policies, alias."""
+"""The commands check, demo, policies and alias."""

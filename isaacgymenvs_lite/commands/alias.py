@@ -1,11 +1,11 @@
-"""Runs a script with `import isaacgymenvs`, unchanged.
+"""Runs a script that imports isaacgymenvs, unchanged.
 
     isaacgymenvs-lite alias SCRIPT [its arguments]
 
-In this one process, `isaacgymenvs` and everything below it mean this package; nothing is installed
-under that name. `import gym` means gymnasium where gym is not installed. The names of `isaacgym`
-can be imported; using one raises an error that names the replacement. `isaacgym.torch_utils` works.
-On a machine without a GPU the CPU is used where a script names a GPU.
+`isaacgymenvs` and its modules mean this package in this process; nothing is installed under that
+name. `gym` means gymnasium if gym is not installed. Names of `isaacgym` can be imported, and
+`isaacgym.torch_utils` works; any other use of `isaacgym` raises an error with the replacement. A
+script that names a GPU runs on the CPU if the machine has no GPU.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from isaacgymenvs_lite.train import message_handler
 _OLD, _NEW = "isaacgymenvs", "isaacgymenvs_lite"
 _SIMULATOR = "isaacgym"
 _NO_SIMULATOR = (
-    "Isaac Gym's tensor API does not exist here; docs/migration.md says call by call what to use"
-    " instead"
+    "Isaac Gym's tensor API does not exist here; docs/migration.md lists the replacement of each"
+    " call"
 )
 _GYM = "gym"
-# Modules of other packages that are ours.
+# Modules of other packages that our modules replace.
 _OTHERS = {
     f"{_SIMULATOR}.torch_utils": f"{_NEW}.isaacgymenvs_compat.torch_jit_utils",
     _GYM: f"{_NEW}.isaacgymenvs_compat.gym",
@@ -57,12 +57,12 @@ class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def find_spec(
         self, fullname: str, path: Any = None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
-        """Return a spec for a name that means one of our modules, None for any other."""
+        """Return a spec for a name that means one of our modules, None for any other name."""
         root = fullname.partition(".")[0]
         if root not in (_OLD, _SIMULATOR, _GYM) and fullname not in _OTHERS:
             return None
         if root == "rl_games" and _OTHERS[fullname] in sys.modules:
-            return None  # our module imports rl_games' own
+            return None  # our module imports the original
         if root == _GYM and importlib.machinery.PathFinder.find_spec(_GYM) is not None:
             return None
         return importlib.machinery.ModuleSpec(fullname, self, is_package=True)
@@ -89,14 +89,14 @@ class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Give the module, which has been executed under its own name, its own spec back."""
+        """Restore the module's own spec; the module has already been executed."""
         alias = module.__spec__
         if alias is not None and alias.loader_state is not None:
             module.__spec__ = alias.loader_state
 
 
 def _import(name: str, alias: str, reason: str | None) -> ModuleType:
-    """Return the module `name`; the error for an absent module has the reason."""
+    """Return the module `name`; the error for a missing module contains `reason`."""
     if reason is None:
         try:
             return importlib.import_module(name)
@@ -105,7 +105,7 @@ def _import(name: str, alias: str, reason: str | None) -> ModuleType:
                 raise
             reason = f"{_NEW} has no module of this name"
     raise ModuleNotFoundError(
-        f"{alias}: {reason}; docs/migration.md lists IsaacGymEnvs' modules and what they became",
+        f"{alias}: {reason}; docs/migration.md lists the replacements of IsaacGymEnvs' modules",
         name=alias,
     ) from None
 
@@ -128,9 +128,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.exit(EXIT_USER_ERROR, f"error: {args.script}: no such file; give a Python script\n")
     install()
     sys.argv = [str(args.script), *args.arguments]
-    # Modules in the script's folder can be imported, like with python.
+    # Scripts can import modules from their own folder, as when Python runs them.
     sys.path.insert(0, str(args.script.resolve().parent))
-    # A script that sets up no logging shows the log of this package.
+    # If the script sets up no logging, it shows the log of this package.
     logging.getLogger(_NEW).setLevel(logging.INFO)
     logging.lastResort = message_handler()
     register_for(args.script.read_text(encoding="utf-8"))

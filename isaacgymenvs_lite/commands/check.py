@@ -3,12 +3,11 @@
     isaacgymenvs-lite check FILE.yaml [task=<name>] [key=value ...]
     isaacgymenvs-lite check                    # versions and what works, for an issue
 
-FILE is a path, or the name of a file in cfg/train or cfg/task. A train file is checked with the
-task that its name begins with, or with `task=`. The command lists the algorithm, the network,
-samples and length, the keys that have no effect here, and what would be changed to fit. A mistake
-is one line, as in train.py, with exit code 2; this includes files of published tasks that this
-project lacks, and train files of an unknown task. For a task file without a class here, everything
-but `task.env` is checked.
+FILE is a path, or the name of a file in cfg/train or cfg/task. A train file is checked with `task=`
+or with the task at the beginning of its name. The command lists the algorithm, the network, the
+samples and epochs, keys without effect, and adapted values. A mistake is one line with exit code 2,
+as in train.py. Files of published tasks that this project lacks, and train files of an unknown
+task, are mistakes, too. If the class of a task file is unknown, `task.env` is not checked.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
 from isaacgymenvs_lite.schema import leaves, plain, select
 
 EXIT_DOES_NOT_WORK = 1
-# Task -> algorithms, for train files without a task in their name, like ASE's.
+# Maps tasks to algorithms, for train files whose names lack a task, like ASE's.
 _TASKS_OF_ALGORITHMS = {
     "HumanoidAMP": ("amp", "amp_continuous", "amp_agent"),
     "HumanoidASE": ("ase", "gen_amp", "hrl", "hrl_continuous"),
@@ -48,12 +47,12 @@ _TASKS_OF_ALGORITHMS = {
 _DEFAULT_NAME = re.compile(r"\$\{resolve_default:\s*['\"]?([\w-]+)")
 _NO_EFFECT = "no effect here"
 _GROUPS = {"params": "train", "env": "task", "name": "task", "sim": "task"}
-# Keys of a task that Isaac Gym's PhysX, its importer or its viewer read.
+# Only Isaac Gym's PhysX, its importer or its viewer read these keys of a task.
 _UNREAD_TASK_KEYS = (
     *("env.envSpacing", "env.enableDebugVis", "env.enableCameraSensors", "env.renderFPS"),
     *("env.plane.restitution", "sim.num_client_threads", "sim.flex"),
 )
-# What a user need not type to find a key, the longest first.
+# The list of keys omits these prefixes, the longest first.
 _SECTIONS = ("task.env.", "task.", "train.params.config.", "train.params.network.", "train.params.")
 _GPU = "cuda:0"
 _ALGORITHM = re.compile(r"(?:PPO|SAC)\w*$")
@@ -87,7 +86,7 @@ def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
 
     Args:
         file: path or name of the file.
-        overrides: more words of train.py's command line.
+        overrides: settings as on train.py's command line.
 
     Raises:
         UserError: train.py would refuse the file.
@@ -132,7 +131,7 @@ def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
 
 
 def _describe_composed(config: CheckedConfig, kind: str, has_train: bool) -> list[str]:
-    # torch, MuJoCo and rl_games: once the configuration is known to compose
+    # torch, MuJoCo and rl_games are imported only if the configuration can be composed.
     from isaacgymenvs_lite.checkpoints.files import resolve_checkpoint
     from isaacgymenvs_lite.env_factory import make_from_config
     from isaacgymenvs_lite.registration import build_runner, known_names
@@ -224,8 +223,8 @@ def _kind(path: Path) -> tuple[str, DictConfig]:
 def _task_of(path: Path, content: DictConfig) -> str:
     """Return the task of a train file, or the path of its task file.
 
-    The task is found by the file's name and the name of its runs: MyRobotPPO.yaml, whose runs are
-    called MyRobot, belongs neither to a task Robot nor to a task My.
+    The file's name and the name of its runs decide: MyRobotPPO.yaml, whose runs are called MyRobot,
+    belongs neither to a task Robot nor to a task My.
     """
     names = [f.stem for f in (cfg_dir() / "task").glob("*.yaml") if f.stem not in PARTS]
     named, run = task_in_name(path.stem), _run_name(content)
@@ -249,8 +248,8 @@ def _task_of(path: Path, content: DictConfig) -> str:
 
 
 def _train_file_of(path: Path, name: str) -> str | None:
-    """Return the train file that goes with a task file, None if there is none."""
-    for train in (f"{path.stem}PPO", path.stem, f"{name}PPO"):  # HumanoidSAC.yaml has both
+    """Return the name of a task file's train file, None if there is none."""
+    for train in (f"{path.stem}PPO", path.stem, f"{name}PPO"):  # HumanoidSAC has its own file
         if (cfg_dir() / "train" / f"{train}.yaml").is_file():
             return train
     beside = path.parent.parent / "train" / f"{path.stem}PPO.yaml"
@@ -258,7 +257,7 @@ def _train_file_of(path: Path, name: str) -> str | None:
 
 
 def _run_name(content: DictConfig) -> str:
-    """Return the name that the runs of a train file have by default, '' if it says none."""
+    """Return the default name of a train file's runs, '' without one."""
     text = str(_written(content, "params.config.name") or "")
     found = _DEFAULT_NAME.match(text)
     return found[1] if found else text
@@ -301,12 +300,12 @@ def _network_line(network: Mapping[str, Any]) -> str:
     if rnn := network.get("rnn"):
         parts.append(f"{rnn.get('name')} of {rnn.get('units')} units")
     if network.get("separate"):
-        parts.append("actor and critic share no layers")
+        parts.append("actor and critic have separate layers")
     return ", ".join(parts)
 
 
 def keys_without_effect(tree: dict[str, Any]) -> list[str]:
-    """Return the keys of a tree's task that only Isaac Gym reads."""
+    """Return the keys of a tree's task that only Isaac Gym would read."""
     paths = [f"task.{key}" for key in _UNREAD_TASK_KEYS]
     found = [path for path in paths if select(tree, path) is not None]
     if set(select(tree, "task.sim.physx") or ()) - {"num_threads"}:
@@ -315,7 +314,7 @@ def keys_without_effect(tree: dict[str, Any]) -> list[str]:
 
 
 def cpu_defaults_note(cfg: DictConfig) -> str | None:
-    """Return one line that names the settings that depend on learning on a CPU, or None.
+    """Return a line about settings whose defaults differ between CPU and GPU, or None.
 
     Args:
         cfg: the tree as it was composed; its `rl_device` decides.
@@ -342,7 +341,7 @@ def _short(value: Any) -> str:
 
 
 def longest_task(stem: str, tasks: Iterable[str]) -> str | None:
-    """Return the longest of `tasks` that a file's name begins with, as whole words, or None."""
+    """Return the longest task name with which a file's name begins, in whole words, or None."""
     fitting = [
         name
         for name in tasks
@@ -352,7 +351,7 @@ def longest_task(stem: str, tasks: Iterable[str]) -> str | None:
 
 
 def task_in_name(stem: str) -> str:
-    """Return a train file's name without its algorithm: MyRobot of MyRobotPPO_LSTM."""
+    """Return a train file's name without its algorithm: MyRobot for MyRobotPPO_LSTM."""
     return _ALGORITHM.sub("", stem).rstrip("_-")
 
 

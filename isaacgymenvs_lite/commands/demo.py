@@ -5,11 +5,11 @@
     isaacgymenvs-lite demo format=webp seconds=2      # small: a moving picture for a page
     isaacgymenvs-lite demo format=png seconds=1       # eight poses
 
-For a policy that imitates, the reference clip is on the left (in a .png above) and the policy on
-the right. The pose error is measured over 16 episodes of 10 s that start anywhere in the clip; the
-video shows the first one. For skills, policies with a goal and the classic tasks, the video shows
-the first three of 16 episodes, and the goals; skills start from the default pose. The best policies
-come first. Without a terminal to ask in, all policies are shown whose clips are installed.
+The video of an imitating policy shows the reference clip on the left (above in a .png) and the
+policy on the right. It shows the first of 16 episodes of 10 s, over which the pose error is
+measured; the episodes start at random times of the clip. The video of skills, of a policy with a
+goal or of a classic task shows the first three of 16 episodes, and the goals. Skills start from the
+default pose. Without a terminal the command shows all policies whose clips are installed.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ log = logging.getLogger(__name__)
 _EPISODES = 16
 _EPISODE_STEPS = 300
 _SEED = 1
-# Networks of policies that do not follow a clip, and how many of their episodes to show.
+# Networks of policies that do not follow a clip, and the number of episodes to show.
 _SKILL_NETWORKS = ("gen_amp", "ase", "hrl")
 _SHOWN_EPISODES = 3
 _POSES_OF_A_STRIP = 8
-# What the README shows comes first.
+# The policies of the README come first.
 _BEST_FIRST = (
     *("backflip", "spinkick", "g1_walk", "walk", "heading", "cartwheel", "run", "g1_velocity"),
     *("getup", "locomotion_skills", "anymal", "humanoid", "ant"),
 )
-# A panel's width and height in pixels, and how many control steps pass from frame to frame.
+# A panel's width and height in pixels, and the number of control steps between frames.
 _SIZES = {"mp4": (320, 480, 1), "webp": (200, 300, 2)}
 
 
@@ -66,27 +66,27 @@ class DemoSettings:
     """Arguments of the command."""
 
     policies: tuple[str, ...] = setting([])
-    """Names of shipped policies; []: those chosen in the terminal, or all."""
+    """Names of shipped policies; [] asks in the terminal, or means all."""
     seconds: float = setting(5.0, above=0, maximum=60)
-    """Time to show."""
+    """Length of the video in s."""
     format: str = setting("mp4", choices=(*_SIZES, "png"))
     """mp4, webp (animated) or png (a strip of poses)."""
     out: str = setting("demo")
-    """Folder for the files; made if it does not exist."""
+    """Folder for the files, which is made if it does not exist."""
 
 
 @dataclass(frozen=True)
 class Performance:
-    """What a policy did in the demo.
+    """The recording of a policy.
 
     Attributes:
-        model: of the character.
-        dt_s: control step.
-        tracks: (T, nq) each: the clip, from the policy's first pose on, and the policy; or the
-            policy in several environments.
-        labels: of the tracks; empty for none.
-        markers: shown at each time of each track, such as goals; empty for none.
-        summary: the result over all environments, for users.
+        model: model of the character.
+        dt_s: control step in s.
+        tracks: (T, nq) for each panel: clip and policy from the same phase on, or the policy in
+            several environments.
+        labels: labels of the tracks, or empty.
+        markers: markers at each time of each track, for example goals, or empty.
+        summary: a sentence about the result over all environments.
     """
 
     model: mujoco.MjModel
@@ -98,10 +98,11 @@ class Performance:
 
 
 def run_demo(settings: DemoSettings) -> list[Path]:
-    """Play, measure and record policies; return the files, one for each.
+    """Play, measure and record policies; return a file for each policy.
 
     Raises:
-        UserError: no such policy, no way to draw or encode, a folder that cannot be written.
+        UserError: a policy is unknown, this machine cannot draw or encode, or the folder cannot be
+            written.
     """
     names = _names(settings.policies)
     ensure_gl()  # fails before the play
@@ -122,7 +123,7 @@ def run_demo(settings: DemoSettings) -> list[Path]:
 
 
 def _names(wanted: Sequence[str]) -> list[str]:
-    """Return the policies to show: those wanted, or chosen, or all that can be played."""
+    """Return the policies to show: the wanted or chosen policies, or all that can be played."""
     shipped = shipped_policy_infos()
     known = [name for name in _BEST_FIRST if name in shipped]
     infos = {name: shipped[name] for name in (*known, *shipped)}
@@ -164,7 +165,7 @@ def ask(infos: Mapping[str, PolicyInfo]) -> list[str]:
 def perform(name: str, seconds: float) -> Performance:
     """Play a shipped policy with its mean actions, and record it.
 
-    The recording is shorter than `seconds` if all environments fall before.
+    The recording is shorter than `seconds` if all environments fall earlier.
 
     Raises:
         UserError: the policy cannot be played.
@@ -189,14 +190,14 @@ def perform(name: str, seconds: float) -> Performance:
 
 
 def _tree(name: str, seconds: float) -> tuple[DictConfig, int]:
-    """Return the configuration that plays a policy, and the control steps to record."""
+    """Return the configuration for playing a policy, and the number of control steps to record."""
     fixed = (
         "test=True",
         f"checkpoint={name}",
         f"num_envs={_EPISODES}",
         f"seed={_SEED}",
         "rl_device=cpu",
-        "num_threads=1",  # so few humanoids are slower on more
+        "num_threads=1",  # more threads are slower for a few humanoids
     )
     cfg = compose([*playing_overrides(name), *fixed])
     env = cfg.task.env
@@ -223,7 +224,7 @@ def _summary(result: EvaluationResult, cfg: DictConfig) -> str:
 
 
 def save_performance(performance: Performance, path: Path) -> Path:
-    """Draw a policy beside its clip, as a video (.mp4, .webp) or a strip of poses (.png).
+    """Draw a policy next to its clip, as a video (.mp4, .webp) or a strip of poses (.png).
 
     Raises:
         UserError: the file cannot be drawn, encoded or written.
@@ -247,7 +248,7 @@ def save_performance(performance: Performance, path: Path) -> Path:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
+    """Run the command line; return the exit code."""
     parser = argparse.ArgumentParser(prog="isaacgymenvs-lite demo", description=__doc__)
     return run_command(parser, DemoSettings, run_demo, arguments)
 

@@ -1,7 +1,7 @@
 """Describes this installation on one screen, to paste into an issue.
 
-Used by `isaacgymenvs-lite check` without a file. Each line says what works here, or what
-does not and how to mend it; nothing is changed.
+`isaacgymenvs-lite check` without a file prints this description. Each line says whether something
+works, or how to mend it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _NUM_STEPS = 20
 
 
 def describe_installation() -> tuple[list[str], bool]:
-    """Return the lines, and whether everything that a training needs works."""
+    """Return the lines, and whether a training can start."""
     problems = list[str]()
     rows: list[tuple[str, Callable[[], str]]] = [
         ("package", _package),
@@ -77,7 +77,7 @@ def _machine() -> str:
 
 
 def cpu_name() -> str:
-    """Return the name of the processor, as the system has it."""
+    """Return the system's name of the processor."""
     info = Path("/proc/cpuinfo")
     if info.is_file():
         for line in info.read_text(encoding="utf-8").splitlines():
@@ -106,7 +106,7 @@ def _needs(problems: list[str]) -> str:
 
 
 def _requirements() -> Iterator[Requirement]:
-    """Yield what the installed package requires on this machine without extras."""
+    """Yield the requirements of the installed package on this machine, without extras."""
     for text in requires(DISTRIBUTION) or ():
         requirement = Requirement(text)
         if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
@@ -160,7 +160,7 @@ def _disk(problems: list[str]) -> str:
 
 
 def _physics(problems: list[str]) -> str:
-    """Step a small HumanoidAMP: the model, the clips and the simulator."""
+    """Step a small HumanoidAMP, which tests the model, the clips and the simulator."""
     try:
         with contextlib.closing(
             make_from_config(

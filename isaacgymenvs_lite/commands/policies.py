@@ -1,10 +1,10 @@
-"""Lists the policies that ship, and packs more: isaacgymenvs-lite policies COMMAND.
+"""Lists the shipped policies, and packs new ones: isaacgymenvs-lite policies COMMAND.
 
     isaacgymenvs-lite policies list
     isaacgymenvs-lite policies pack checkpoint=FILE name=NAME [clip=CLIP]
 
-`checkpoint` is a file of a run (runs/<run>/nn/*.pth), or `last` for the newest. The packed policy
-is written to assets/policies, or to the folder out=FOLDER, and can be played by its name:
+`checkpoint` is a file of a run (runs/<run>/nn/*.pth), or `last` for the newest checkpoint. The
+packed policy is written to assets/policies or to out=FOLDER, and can be played by its name:
 
     python train.py test=True checkpoint=NAME
 """
@@ -32,28 +32,32 @@ class PackSettings:
     name: str = setting()
     """Name of the policy."""
     clip: str = setting("")
-    """The shipped clip that it imitates; '': the clip of the run."""
+    """The shipped clip that the policy imitates; '' means the clip of the run."""
     out: str = setting("")
-    """Folder; '': assets/policies."""
+    """Folder of the packed policy; '' means assets/policies."""
     task: str = setting("HumanoidAMP")
-    """Task of the runs that `last` searches."""
+    """Task of the runs, for `last`."""
     runs: str = setting("runs")
-    """Folder of the runs, for `last`."""
+    """Folder of all runs, for `last`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ListSettings:
-    """Arguments of `list`: none."""
+    """`list` has no arguments."""
 
 
 def show(_: ListSettings) -> None:
-    """Write one line for each policy that ships."""
+    """Write one line for each shipped policy."""
     for name, info in shipped_policy_infos().items():
         sys.stdout.write(f"{name:20}{info}\n")
 
 
 def pack(settings: PackSettings) -> None:
-    """Pack a checkpoint, or raise a `UserError`."""
+    """Pack a checkpoint.
+
+    Raises:
+        UserError: the checkpoint cannot be packed.
+    """
     checkpoint = resolve_checkpoint(settings.checkpoint, settings.runs, settings.task)
     if not checkpoint:
         raise ConfigError("checkpoint= is empty; expected a .pth file of a run, or 'last'")
@@ -64,7 +68,7 @@ _COMMANDS = {"list": (ListSettings, show), "pack": (PackSettings, pack)}
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
+    """Run the command line; return the exit code."""
     parser = argparse.ArgumentParser(prog="isaacgymenvs-lite policies", description=__doc__)
     parser.add_argument("command", choices=_COMMANDS)
     words = sys.argv[1:] if arguments is None else arguments

@@ -1,8 +1,7 @@
-"""Several processes that train one policy, on CPUs or GPUs, on one machine or many.
+"""Trains one policy in several processes, on CPUs or GPUs, on one machine or many.
 
-torchrun starts all processes again, with the same command, when a process has failed
-(`--max-restarts`). The run folder has a file with the name of torchrun's job, so that the new
-processes find the run and resume it.
+torchrun restarts all processes with the same command if a process fails (`--max-restarts`). The run
+folder contains the name of torchrun's job, so that the new processes find and resume the run.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 STARTS = "ISAACGYMENVS_LITE_STARTS"
-"""Environment variable: how often a process has replaced itself by a new one (`pbt.restart`)."""
+"""Environment variable that counts how often a process has replaced itself (`pbt.restart`)."""
 _FILE = "torchrun_job"
 _MAX_BYTES = 1000
 
@@ -30,7 +29,7 @@ def mark_run(run: Path) -> None:
 
 
 def words_after_restart(words: Sequence[str], runs: Iterable[Path]) -> list[str] | None:
-    """Return the command line that resumes the run of this job; None if there is none yet.
+    """Return the command line that resumes the run of this job; None if the job has no run yet.
 
     Args:
         words: the command line that torchrun repeats.
@@ -50,7 +49,7 @@ def words_after_restart(words: Sequence[str], runs: Iterable[Path]) -> list[str]
 
 
 def _job() -> str:
-    """Return the name of torchrun's job; '' if it has none of its own."""
+    """Return the name of torchrun's job; '' if the job has no name."""
     name = os.environ.get("TORCHELASTIC_RUN_ID", "")
     return "" if name == "none" else name
 

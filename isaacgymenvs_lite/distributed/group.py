@@ -1,10 +1,10 @@
-"""The processes that train one policy together, and the messages between them.
+"""Connects the processes that train one policy, and sends messages between them.
 
-torchrun starts them; each has a rank from 0 to size - 1. This is the only module that imports
-torch.distributed (rl_games uses it too, for gradients). Without torchrun the group has one process,
-whose messages return at once: most code does not ask whether there are several.
+torchrun starts the processes; each has a rank from 0 to size - 1. Only this module imports
+torch.distributed (rl_games also uses it, for gradients). Without torchrun the group has one process
+and its messages return at once, so that most code works for one and for several processes.
 
-Every method that sends a message is called by all processes, in the same order.
+All processes must call every method that sends a message, in the same order.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from isaacgymenvs_lite.errors import ConfigError, PeerError, PeerMistakeError, U
 log = logging.getLogger(__name__)
 
 _VARIABLES = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT")
-# What torch's two backends say when a process at the other end has gone or hangs.
+# Texts in the errors of torch's two backends about a process that has ended or hangs.
 _LOST = ("connection closed", "connection reset", "broken pipe", "timed out", "gloo", "nccl")
 
 
 @dataclass(frozen=True)
 class ProcessGroup:
-    """The processes of a training, seen from one of them; local: on the same machine."""
+    """The group of a training's processes; `local_rank` and `local_size` count on one machine."""
 
     rank: int = 0
     size: int = 1
@@ -50,7 +50,7 @@ class ProcessGroup:
         return self.rank == 0
 
     def device_of(self, device: str) -> str:
-        """Return the device of this process, given the one that all were asked for."""
+        """Return the device of this process, given the device in the settings."""
         return f"cuda:{self.local_rank}" if device.startswith("cuda") and self.size > 1 else device
 
     # --- numbers ---------------------------------------------------------------------------
@@ -84,7 +84,7 @@ class ProcessGroup:
     # --- values of the main process --------------------------------------------------------
 
     def from_main(self, value: Any) -> Any:
-        """Return the value that the main process gives, of any kind that JSON has."""
+        """Return the main process' value, which consists of JSON's types."""
         if self.size == 1:
             return value
         text = json.dumps(value).encode() if self.is_main else b""
@@ -96,7 +96,7 @@ class ProcessGroup:
         return json.loads(bytes(content.tolist()))
 
     def take_from_main_(self, tensors: Iterable[Tensor]) -> None:
-        """Overwrite tensors by the main process' tensors, which have the same shapes."""
+        """Overwrite tensors by the main process' tensors of the same shapes."""
         if self.size == 1:
             return
         with torch.no_grad():
@@ -108,11 +108,11 @@ class ProcessGroup:
     # --- errors ----------------------------------------------------------------------------
 
     def check_equal(self, values: Mapping[str, Any], what: str) -> None:
-        """Check that all processes have the same values, of kinds that JSON has.
+        """Check that all processes have the same values, which consist of JSON's types.
 
         Raises:
-            ConfigError: values differ from those of the main process.
-            PeerMistakeError: values of another process differ.
+            ConfigError: the values differ from the main process' values.
+            PeerMistakeError: the values of another process differ.
         """
         expected = self.from_main(values)
         differing = sorted(
@@ -132,8 +132,8 @@ class ProcessGroup:
         """End all processes if one of them has an error.
 
         Raises:
-            UserError: `error`, in the first process that has one.
-            PeerMistakeError: another process has.
+            UserError: `error`, in the first process that has an error.
+            PeerMistakeError: another process has an error.
         """
         failed = [rank for rank, flag in enumerate(self.gather(int(error is not None))) if flag]
         if not failed:
@@ -154,7 +154,7 @@ class ProcessGroup:
 
     @contextlib.contextmanager
     def lost_peers_explained(self) -> Iterator[None]:
-        """Turn what torch raises when another process has gone into a `PeerError`."""
+        """Turn torch's error about a lost process into a `PeerError`."""
         try:
             yield
         except RuntimeError as error:
@@ -163,8 +163,8 @@ class ProcessGroup:
                 raise
             reason = "did not answer in time" if "timed out" in text else "ended"
             raise PeerError(
-                f"rank {self.rank}: another process of this training {reason}; its error, in the"
-                " output above or on its own machine, is the cause"
+                f"rank {self.rank}: another process of this training {reason}; read its error in"
+                " the output above or on its machine"
             ) from error
 
 
@@ -174,7 +174,7 @@ _current = ProcessGroup()
 
 
 def current_group() -> ProcessGroup:
-    """Return the processes that train with this one."""
+    """Return the group of this process."""
     return _current
 
 
@@ -182,19 +182,18 @@ def current_group() -> ProcessGroup:
 def joined_group(
     device: str, timeout_s: float, mistake: UserError | None = None
 ) -> Iterator[ProcessGroup]:
-    """Give the group of the processes that torchrun has started; outside it is one process again.
+    """Give the group of torchrun's processes; after the `with` statement each process is alone.
 
-    The processes stay connected until they end, for the next training: torch cannot connect the
-    same ones again.
+    The processes stay connected until they end, because torch cannot connect them a second time.
 
     Args:
-        device: of the networks: gloo connects CPUs, NCCL GPUs.
-        timeout_s: how long a message may take before the others count as lost.
-        mistake: of this process, which ends all.
+        device: device of the networks; gloo connects CPUs, NCCL connects GPUs.
+        timeout_s: time after which a process that does not answer counts as lost.
+        mistake: an error of this process, which ends all processes.
 
     Raises:
         UserError: torchrun has not started this process, or a process has a mistake.
-        PeerError: another process has not connected in time, or has gone.
+        PeerError: another process has not connected in time or has ended.
     """
     global _current
     missing = [name for name in _VARIABLES if not os.environ.get(name)]
@@ -226,10 +225,10 @@ def joined_group(
 
 
 def _connect(backend: str, timeout_s: float) -> None:
-    """Connect this process with the others."""
+    """Connect this process with the other processes."""
     timeout = datetime.timedelta(seconds=timeout_s)
     store, rank, size = next(rendezvous("env://", timeout=timeout))
-    # The store may outlive the processes: new ones must not find the addresses of old ones.
+    # The store may outlive the processes; new processes must not find addresses of old ones.
     counts = [os.environ.get(name, "0") for name in ("TORCHELASTIC_RESTART_COUNT", STARTS)]
     start = PrefixStore("start" + ".".join(counts), store)
     dist.init_process_group(backend, timeout=timeout, world_size=size, rank=rank, store=start)
@@ -237,9 +236,9 @@ def _connect(backend: str, timeout_s: float) -> None:
 
 
 def first_of_all(error: UserError) -> UserError:
-    """Return the error that this process should report, before it joins the others.
+    """Return the error that this process should report before it joins the group.
 
-    Mostly all processes make the same mistake: one of them reports it.
+    Usually all processes have the same mistake; only one process reports it.
     """
     if dist.is_initialized():
         return error

@@ -1,7 +1,7 @@
-"""Means and variances over the rows of all processes, several in one message.
+"""Computes means and variances over the rows of all processes with one message.
 
-Sums are of deviations from a point that is near the mean and the same in all processes, in float64:
-no digits are lost where a mean is large against its spread.
+The sums contain deviations from a point near the mean, in float64, so that no digits are lost if
+the mean is much larger than the spread.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ class Moments:
 
 
 def joined_moments(kinds: Sequence[tuple[Tensor, Tensor]]) -> list[Moments]:
-    """Return the moments of several kinds of rows, by one message.
+    """Return the moments of several kinds of rows.
 
     Args:
-        kinds: for each kind a point (...) near the mean, the same in all processes, and the rows
-            (n, ...) of this process.
+        kinds: for each kind a point (...) near the mean, which is equal in all processes, and the
+            rows (n, ...) of this process.
     """
     sums = []
     for near, rows in kinds:
@@ -47,9 +47,10 @@ def joined_moments(kinds: Sequence[tuple[Tensor, Tensor]]) -> list[Moments]:
 
 
 def normalize_jointly(values: Tensor, mask: Tensor) -> Tensor:
-    """Return values (n,) normalised by mean and deviation of the rows of mask (n,) 1, of all.
+    """Return values (n,), normalised by the mean and deviation of all processes' rows.
 
-    The variance is unbiased; with fewer than two such rows the values are returned unchanged.
+    Only rows whose mask (n,) is 1 count. The variance is unbiased. The values are returned
+    unchanged if fewer than two rows count.
     """
     wide, weight = values.double(), mask.double()
     sums = torch.stack([weight.sum(), (weight * wide).sum(), (weight * wide.square()).sum()])

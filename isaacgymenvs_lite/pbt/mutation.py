@@ -1,4 +1,4 @@
-"""Changes settings at random; functions have their published names and arguments."""
+"""Changes settings at random; the functions have IsaacGymEnvs' names and arguments."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ def mutate_float(
 
 
 def mutate_float_min_1(x: float, **options: Any) -> float:
-    """Return as `mutate_float`, at least 1."""
+    """Return the result of `mutate_float`, at least 1."""
     return max(1.0, mutate_float(x, **options))
 
 
 def mutate_eps_clip(x: float, **options: Any) -> float:
-    """Return as `mutate_float`, within the range of PPO's clipping, 0.01 to 0.3."""
+    """Return the result of `mutate_float`, limited to PPO's clipping range 0.01 to 0.3."""
     return min(0.3, max(0.01, mutate_float(x, **options)))
 
 
 def mutate_mini_epochs(x: int, rng: Generator = _GLOBAL, **_: Any) -> int:
-    """Return one more or one less, with equal probability, within 1 to 8."""
+    """Return x + 1 or x - 1 with equal probability, limited to 1 to 8."""
     return min(8, max(1, int(x) + (1 if rng.random() < 0.5 else -1)))
 
 
 def mutate_discount(x: float, rng: Generator = _GLOBAL, **_: Any) -> float:
     """Return a discount whose distance from 1 changed by a factor of 1.1 to 1.2, at least 0."""
-    # A small change of gamma is a large change of the learned values.
+    # A small change of gamma changes the learned values a lot.
     return max(0.0, 1.0 - mutate_float(1.0 - x, 1.1, 1.2, rng=rng))
 
 
@@ -60,7 +60,11 @@ _FUNCTIONS: dict[str, Callable[..., float]] = {
 
 
 def get_mutation_func(mutation_func_name: str) -> Callable[..., float]:
-    """Return a function by its name; an unknown name is a `ConfigError`."""
+    """Return a function by its name.
+
+    Raises:
+        ConfigError: the name is unknown.
+    """
     if mutation_func_name not in _FUNCTIONS:
         raise ConfigError(unknown("function", mutation_func_name, MUTATIONS))
     return _FUNCTIONS[mutation_func_name]

@@ -1,6 +1,7 @@
-"""Population based training as an observer of a training.
+"""Implements population based training as an observer of a training.
 
-Who is replaced follows DexPBT (Petrenko et al. 2023, arXiv:2305.12127) as IsaacGymEnvs has it.
+Policies are replaced by the rules of DexPBT (Petrenko et al. 2023, arXiv:2305.12127) as in
+IsaacGymEnvs.
 """
 
 from __future__ import annotations
@@ -30,24 +31,24 @@ from isaacgymenvs_lite.pbt.workspace import Record, Workspace
 log = logging.getLogger(__name__)
 
 KEY = "true_objective"
-"""Key of a task's infos: (N,), what matters in the end, whatever the reward is made of."""
-# Probability that a policy that gets the weights of a better policy takes its settings, too.
+"""Key of a task's infos: (N,) the true objective, which may differ from the reward."""
+# Probability that a policy takes not only the weights but also the settings of a better policy.
 _TAKE_SETTINGS = 0.5
-# Share of the population, the worst, that the spread is measured without: a policy that broke down
-# would hide all other differences.
+# The spread is measured without this share of the worst policies, because a failed policy would
+# hide all other differences.
 _OUTLIERS = 0.2
 
 
 def run_suffix(tree: Mapping[str, Any]) -> str:
-    """Return what the run folders of a policy have in their names; '' without a population."""
+    """Return the suffix of a policy's run folders; '' without a population."""
     settings = read_pbt_settings(tree)
     return "" if settings is None else f"_pbt_{settings.policy_idx:02d}"
 
 
 def first_mutation(tree: Mapping[str, Any], seed: int) -> dict[str, float]:
-    """Return settings, by their paths, with which a policy begins to differ from the others.
+    """Return the initial mutation of a policy's settings, by their paths.
 
-    There are none without a population, or if the policy has begun before this process.
+    It is empty without a population, or if an earlier process has begun the policy.
     """
     pbt = read_pbt_settings(tree)
     if pbt is None or _goes_on(tree):
@@ -59,7 +60,7 @@ def first_mutation(tree: Mapping[str, Any], seed: int) -> dict[str, float]:
 
 
 def mutable_settings(tree: Mapping[str, Any]) -> dict[str, float]:
-    """Return the settings that mutate, numbers by path; none without a population."""
+    """Return the mutable settings by their paths; empty without a population."""
     pbt = read_pbt_settings(tree)
     return {} if pbt is None else mutable_values(tree, pbt)
 
@@ -71,11 +72,10 @@ def population_of(
     """Join the population of a resolved tree, and give its observer; None without a population.
 
     Args:
-        tree: resolved.
-        seed: of the training.
-        train_dir: folder of the runs.
-        decides: False in all but the first of several processes that train one policy: these
-            leave the workspace alone.
+        tree: the resolved tree.
+        seed: seed of the training.
+        train_dir: folder of all runs.
+        decides: whether this is the main process of the policy, which uses the workspace.
 
     Raises:
         ConfigError: the workspace cannot be used, see `Workspace`.
@@ -95,19 +95,19 @@ def population_of(
 
 
 class ObjectiveMeter:
-    """The objective of the policy that trains, and the best that it reached since a comparison.
+    """Measures the objective of the policy, and its best value since the last comparison.
 
-    With `infos["true_objective"]`: the mean over all environments of the value at the end of the
-    last episode. Without: the mean reward of the last `games_to_track` episodes.
+    The objective is the mean over all environments of `infos["true_objective"]` at the end of their
+    last episodes. Without this info it is the mean reward of the last `games_to_track` episodes.
     """
 
     def __init__(self, algo: Any) -> None:
         self._algo = algo
-        self._last: Tensor | None = None  # (N,) nan before the first end of an episode
+        self._last: Tensor | None = None  # (N,) nan before the end of the first episode
         self._best = -math.inf
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
-        """Take the values of the environments (n, 1) whose episodes ended in a step."""
+        """Store the values of the environments (n, 1) whose episodes ended in a step."""
         rows = done_indices.flatten()
         if len(rows) == 0:
             return
@@ -123,7 +123,7 @@ class ObjectiveMeter:
                 self._last = torch.full((num_envs,), math.nan, device=values.device)
             rows = rows.to(values.device)
             if (diverged := diverged_in(infos, values.device)) is not None:
-                rows = rows[~diverged[rows]]  # cut off: no end of an episode
+                rows = rows[~diverged[rows]]  # a divergence is not the end of an episode
             self._last[rows] = values[rows].float()
         value = self.value
         if value is not None:
@@ -131,7 +131,7 @@ class ObjectiveMeter:
 
     @property
     def value(self) -> float | None:
-        """The objective; None while episodes are missing."""
+        """The objective; None until all environments have ended an episode."""
         if self._last is not None:
             mean = self._last.mean().item()
         elif self._algo.game_rewards.current_size >= self._algo.games_to_track:
@@ -141,26 +141,27 @@ class ObjectiveMeter:
         return mean if math.isfinite(mean) else None
 
     def end_interval(self, value: float) -> float:
-        """Return the best value since the last call, including the present one, and forget it."""
+        """Return the best value since the last call, including `value`, and forget it."""
         best, self._best = max(self._best, value), -math.inf
         return best
 
 
 class PBTObserver(AlgoObserver):
-    """Compares the policy with its population, and ends the training that should go on changed.
+    """Compares the policy with its population, and restarts the training with changed settings.
 
-    At every `pbt.interval_steps` the policy writes record and checkpoint into the workspace and
-    reads the others' files. If it is replaced, a `RestartRequest` leaves rl_games' loop.
+    The policy writes its record and checkpoint into the workspace every `pbt.interval_steps` and
+    reads the files of the other policies. If it is replaced, a `RestartRequest` leaves rl_games'
+    loop.
 
-    Of several processes that train one policy (data-parallel), the first decides, and all of them
-    restart: `after_steps` is called in each at the same place, and `share` sends the decision. All
-    of them need the seed of the first, so that they begin with the same settings.
+    If several processes train one policy (data-parallel), the main process decides and all of them
+    restart: all processes call `after_steps` at the same place, and `share` sends the decision.
+    They need the main process' seed to begin with the same settings.
 
     Attributes:
-        decides: whether this process decides; False in all but the first process of a policy.
-        share: receives the first process' decision (None elsewhere) and returns it in all.
+        decides: whether this is the main process of the policy.
+        share: takes the decision of the main process (None elsewhere) and returns it everywhere.
         is_stopping: returns whether the training is about to end, so that nothing restarts.
-        check_settings: raises if a training would refuse these numbers by key path.
+        check_settings: raises an error if a training would refuse these settings.
     """
 
     def __init__(
@@ -194,13 +195,13 @@ class PBTObserver(AlgoObserver):
         self._objective.process_infos(infos, done_indices)
 
     def after_steps(self) -> None:
-        """Compare if it is time; raise a `RestartRequest` if the policy is replaced."""
+        """Compare after each interval; raise a `RestartRequest` if the policy is replaced."""
         request = self.share(self.decide() if self.decides else None)
         if request is not None:
             raise request
 
     def decide(self) -> RestartRequest | None:
-        """Compare if it is time; return what to restart with if the policy is replaced."""
+        """Compare after each interval; return a request if the policy is replaced."""
         frame = self._algo.frame
         iteration = frame // self._settings.interval_steps
         if self._iteration is None:
@@ -227,7 +228,7 @@ class PBTObserver(AlgoObserver):
             request = self._replaced_by(donor, population, rng)
             if request is not None or donor == settings.policy_idx:
                 return request
-            del population[donor]  # broken: choose again without it
+            del population[donor]  # its checkpoint cannot be used: choose another policy
 
     def _exchange(self, iteration: int, objective: float) -> dict[int, Record]:
         """Write this policy's record; return the newest record of each policy."""
@@ -236,7 +237,7 @@ class PBTObserver(AlgoObserver):
             iteration=iteration,
             true_objective=objective,
             frame=algo.frame,
-            epoch=max(0, algo.epoch_num - 1),  # rl_games has counted the one that goes on
+            epoch=max(0, algo.epoch_num - 1),  # rl_games has counted the running epoch
             experiment_name=algo.experiment_name,
             params=self._params,
         )
@@ -256,7 +257,7 @@ class PBTObserver(AlgoObserver):
         return population
 
     def _leader(self, population: dict[int, Record]) -> int:
-        """Return the best policy; remove those whose checkpoint cannot be used."""
+        """Return the best policy; remove policies whose checkpoints cannot be used."""
         while True:
             leader = max(population, key=lambda index: population[index].true_objective)
             if leader == self._settings.policy_idx:
@@ -270,19 +271,19 @@ class PBTObserver(AlgoObserver):
                 return leader
 
     def _state_of(self, policy: int, record: Record) -> dict[str, Any]:
-        """Return the checkpoint of a policy, if this policy could go on with it."""
+        """Return the checkpoint of a policy after checking that this policy could use it."""
         file = self._workspace.checkpoint_of(policy, record)
         state = load_checkpoint(file)
-        # An agent of a fork's own may have no such check.
+        # The agent of a fork may lack this check.
         getattr(self._algo, "check_fits", lambda *_: None)(state, f"checkpoint={file}")
         return state
 
     def _replaced_by(
         self, donor: int, population: Mapping[int, Record], rng: random.Random
     ) -> RestartRequest | None:
-        """Return what to restart with; None if checkpoint or settings cannot be used.
+        """Return a request to restart; None if checkpoint or settings cannot be used.
 
-        Nothing is written before both are found usable: the policy's own state stays.
+        Nothing is written before both have been checked, so that the policy keeps its own state.
         """
         own, algo = self._settings.policy_idx, self._algo
         params = self._params
@@ -294,10 +295,10 @@ class PBTObserver(AlgoObserver):
             state = self._state_of(donor, population[donor])
             try:
                 self.check_settings(params)
-            except Exception as error:  # a task of the user's own may raise anything
+            except Exception as error:  # a user's own task may raise errors of any type
                 texts = ", ".join(f"{path}={value:.4g}" for path, value in params.items())
                 raise ConfigError(f"{one_line(error)}; settings of {donor}: {texts}") from error
-            # The run goes on where it is; only the networks are another policy's.
+            # The run goes on at its own frame; only the networks come from the other policy.
             state |= {"frame": algo.frame, "epoch": population[own].epoch}
             if donor != own:
                 state.pop("last_mean_rewards", None)
@@ -328,22 +329,22 @@ def find_replacement(
     best_of_interval: float,
     rng: random.Random,
 ) -> int | None:
-    """Return the policy whose weights `settings.policy_idx` goes on with; None for no change.
+    """Return the policy whose weights `settings.policy_idx` should take; None for no change.
 
-    A policy among the worst goes on with new settings in any case. It gets the weights of one of
-    the best only if the difference is clear; else the result is its own index.
+    A policy among the worst always goes on with new settings. It gets the weights of one of the
+    best policies only if the difference is clear; otherwise the result is its own index.
 
     Args:
-        settings: of the population.
-        objectives: of the known policies, by index.
-        best_of_interval: best objective of the policy since the last comparison.
-        rng: chooses among the best.
+        settings: settings of the population.
+        objectives: objectives of the known policies, by index.
+        best_of_interval: best objective of this policy since the last comparison.
+        rng: chooses among the best policies.
     """
     own, total = settings.policy_idx, settings.num_policies
     ranked = sorted(objectives, key=lambda index: (-objectives[index], index))
     best = ranked[: math.ceil(settings.replace_fraction_best * total)]
     if not settings.dbg_mode:
-        # A policy that is not known yet ranks last.
+        # An unknown policy ranks last.
         unknown = [index for index in range(total) if index not in objectives]
         worst = [*ranked, *unknown][-math.ceil(settings.replace_fraction_worst * total) :]
         reached = min(objectives[index] for index in best)
@@ -363,15 +364,16 @@ def find_replacement(
 
 
 def num_needed(num_policies: int) -> int:
-    """Return how many policies must be known before one is replaced: more than half of them.
+    """Return the number of policies that must be known before a policy is replaced.
 
-    At least three, as in IsaacGymEnvs; there a population of two never changes, here two do.
+    It is more than half of them, and at least three as in IsaacGymEnvs. A population of two, which
+    never changes in IsaacGymEnvs, needs both policies.
     """
     return min(num_policies, max(2, num_policies // 2) + 1)
 
 
 def _goes_on(tree: Mapping[str, Any]) -> bool:
-    """Return whether the policy has begun before this process."""
+    """Return whether an earlier process has begun the policy."""
     return any(tree.get(key) for key in ("pbt_restart", "resume"))
 
 
@@ -387,7 +389,7 @@ def _mutated(
 
 
 def _changes(former: Mapping[str, float], params: Mapping[str, float]) -> str:
-    """Return the settings that changed in words."""
+    """Return a text about the changed settings."""
     changed = {path for path in params if params[path] != former[path]}
     texts = [f"{path} {former[path]:.4g} -> {params[path]:.4g}" for path in sorted(changed)]
     return ", ".join(texts) or "the settings as they are"

@@ -1,4 +1,4 @@
-"""Starts a training again in the same process id, by the same command with changed settings."""
+"""Restarts a training with changed settings, under the same process id."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _TRAIN = ("-m", "isaacgymenvs_lite.train")
 class RestartRequest(Exception):  # noqa: N818  not an error: the way out of rl_games' loop
     """Ends a training that goes on with other settings in a new process.
 
-    `runner.train` closes task, log and folders on its way; then train.py calls `start_again`. A
-    program that called `runner.run` composes the tree again with `overrides`. `settings` has values
-    by their paths in the tree.
+    `runner.train` closes task, log and folders when this exception passes; then train.py calls
+    `start_again`. A program that has called `runner.run` composes the tree again with `overrides`.
+    `settings` are values by their paths in the tree.
     """
 
     def __init__(self, settings: Mapping[str, str | float | bool], run: Path) -> None:
@@ -33,17 +33,17 @@ class RestartRequest(Exception):  # noqa: N818  not an error: the way out of rl_
 
     @property
     def content(self) -> dict[str, Any]:
-        """What one process of a data-parallel training sends to the others, as JSON has it."""
+        """The request as JSON values, for the other processes of a data-parallel training."""
         return {"settings": self.settings, "run": str(self._run)}
 
     @classmethod
     def of(cls, content: dict[str, Any] | None) -> RestartRequest | None:
-        """Return the request that another process has sent; None if it has sent none."""
+        """Return the request with this content; None without content."""
         return None if content is None else cls(content["settings"], Path(content["run"]))
 
     @property
     def overrides(self) -> list[str]:
-        """The settings as words of a command line."""
+        """The settings as overrides of a command line."""
         return [
             # `checkpoint` is also looked for by its name.
             f"{'' if path == 'checkpoint' else '++'}{path}={as_override(value)}"
@@ -51,21 +51,21 @@ class RestartRequest(Exception):  # noqa: N818  not an error: the way out of rl_
         ]
 
     def words(self, typed: Sequence[str]) -> list[str]:
-        """Return a command line with these settings in place of the typed ones."""
+        """Return the typed words with these settings in place of the typed settings."""
         kept = [word for word in typed if word.partition("=")[0].lstrip("+") not in self.settings]
         kept = [f"resume={self._run}" if word.startswith("resume=") else word for word in kept]
         return [*kept, *self.overrides]
 
 
 def start_again(request: RestartRequest, typed: Sequence[str]) -> NoReturn:
-    """Replace this process by the same command `typed` with the settings of a request.
+    """Replace this process by the command `typed` with the settings of a request.
 
-    The environment stays, so that a launcher such as torchrun finds the process as it was. Files
-    and locks that are still open are closed by the system: Python opens them close-on-exec.
+    The process id and the environment stay, so that torchrun still knows the process. The system
+    closes open files and locks, because Python opens them close-on-exec.
     """
     own = sys.orig_argv[1:]
     end = len(own) - len(typed)
-    is_typed = end > 0 and own[end:] == list(typed)  # else a program of its own set sys.argv
+    is_typed = end > 0 and own[end:] == list(typed)  # otherwise a user's program set sys.argv
     command = [sys.executable, *(own[:end] if is_typed else _TRAIN), *request.words(typed)]
     log.debug("restart: %s", shlex.join(command))
     os.environ[STARTS] = str(int(os.environ.get(STARTS) or 0) + 1)

@@ -1,12 +1,12 @@
-"""The folder through which policies of a population compare: `<train_dir>/<pbt.workspace>/`.
+"""Reads and writes the folder of a population: `<train_dir>/<pbt.workspace>/`.
 
-    000/policy.yaml      what the policy trains, so that only policies of one experiment compare
+    000/policy.yaml      the policy's experiment; only policies of one experiment compare
     000/000012.pth       its checkpoint at the 12th comparison
     000/000012.yaml      its record: objective, settings, frame
-    best0/*.pth, *.yaml  the best of the population, as policy 0 found it
+    best0/*.pth, *.yaml  the best policy that policy 0 has seen
 
-Every file has one writer and appears whole or not at all; a record appears after its checkpoint.
-Files of others are found by their own names: no path in them is followed. A broken record is left
+Every file has one writer and is complete or absent; a record is written after its checkpoint. Files
+of other policies are found by their names, and paths in them are ignored. A broken record is left
 out of the comparison.
 """
 
@@ -37,13 +37,13 @@ _POLICY_FILE = "policy.yaml"
 _RECORD = re.compile(r"(\d{6,})\.yaml")
 _OBJECTIVE = re.compile(r"_best_obj_(-?[\d.]+)_iter_")
 MAX_RECORDS = 20
-"""Newest records of a policy that stay: a policy compares with the newest one not ahead of it."""
+"""Number of records of a policy that are kept, because other policies may be at earlier frames."""
 _MAX_BEST = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """What a policy writes about itself at a comparison."""
+    """The record of a policy at a comparison."""
 
     iteration: int = setting(minimum=0)
     """frame // pbt.interval_steps"""
@@ -51,22 +51,22 @@ class Record:
     frame: int = setting(minimum=0)
     epoch: int = setting(0, minimum=0)
     experiment_name: str = setting()
-    """Name of its run folder."""
+    """Name of the policy's run folder."""
     params: dict[str, Any] = setting()
-    """Settings that mutate, numbers by path."""
+    """Mutable settings by their paths."""
 
 
 class Workspace:
-    """The shared folder, as one policy uses it.
+    """The shared folder for one policy.
 
-    Use it in a `with` statement: the policy's own folder is locked. What was made is removed at the
-    end if the policy has written no record.
+    A `with` statement locks the policy's own folder. Its folders are removed at the end if the
+    policy has written no record.
 
     Args:
         folder: the workspace.
-        settings: of the population.
-        tree: of the training, resolved.
-        params: settings that mutate, numbers by path.
+        settings: settings of the population.
+        tree: resolved tree of the training.
+        params: mutable settings by their paths.
     """
 
     def __init__(
@@ -91,7 +91,8 @@ class Workspace:
         """Lock the folder of this policy.
 
         Raises:
-            ConfigError: it has links or cannot be written, or another process trains this policy.
+            ConfigError: the folder has links or cannot be written, or another process trains this
+                policy.
         """
         check_no_links(self._folder)
         missing = [path for path in (self._own, *self._own.parents) if not path.exists()]
@@ -119,17 +120,18 @@ class Workspace:
             self._lock.release()
             self._lock = None
         for folder in self._made:
-            with contextlib.suppress(OSError):  # another policy, or a record, is in it
+            with contextlib.suppress(OSError):  # it contains another policy or a record
                 folder.rmdir()
 
     def join(self, is_new: bool) -> None:
-        """Check that this policy belongs here, and write what it trains.
+        """Check that this policy belongs to the workspace, and write its experiment.
 
         Args:
-            is_new: the policy begins; False: it goes on, and its records are there.
+            is_new: whether the policy begins; otherwise it goes on and its records exist.
 
         Raises:
-            ConfigError: the workspace is of another experiment, or this policy was trained in it.
+            ConfigError: the workspace belongs to another experiment, or this policy was trained in
+                it before.
         """
         index = self._settings.policy_idx
         if is_new and (iterations := self._iterations(index)):
@@ -148,7 +150,7 @@ class Workspace:
             raise self._not_writable(error) from error
 
     def _check_experiment(self, file: Path) -> None:
-        """Check that another policy trains the same."""
+        """Check that another policy trains the same experiment."""
         own = self._experiment
         try:
             other = _read_yaml(file)
@@ -178,7 +180,7 @@ class Workspace:
     # --- writing ---------------------------------------------------------------------------
 
     def write(self, record: Record, state: dict[str, Any]) -> None:
-        """Write this policy's record and checkpoint, and remove its oldest ones."""
+        """Write this policy's record and checkpoint, and remove its oldest record."""
         self._own.mkdir(parents=True, exist_ok=True)
         index = self._settings.policy_idx
         file = self._file(index, record.iteration)
@@ -188,13 +190,13 @@ class Workspace:
         self._write_yaml(file, {**asdict(record), **paths})
         for iteration in self._iterations(index)[:-MAX_RECORDS]:
             old = self._file(index, iteration)
-            old.unlink(missing_ok=True)  # no record without a checkpoint
+            old.unlink(missing_ok=True)  # the record goes before its checkpoint
             old.with_suffix(".pth").unlink(missing_ok=True)
 
     def keep_best(self, policy_idx: int, record: Record, task: str) -> None:
-        """Copy a policy's checkpoint into this policy's `best` folder if none there is as good.
+        """Copy a policy's checkpoint into this policy's `best` folder if it is the best so far.
 
-        The name of the task is a part of the file's name.
+        The file's name includes the task.
         """
         folder = self._folder / f"best{self._settings.policy_idx}"
         folder.mkdir(exist_ok=True)
@@ -225,7 +227,7 @@ class Workspace:
     def newest_records(self, iteration: int) -> dict[int, Record]:
         """Return the newest record of each policy that is not ahead of an iteration.
 
-        A file that cannot be used is logged once and left out: it must not end a long training.
+        A broken file is logged once and left out, because it must not end a long training.
         """
         found: dict[int, Record] = {}
         for index in range(self._settings.num_policies):
@@ -233,7 +235,7 @@ class Workspace:
                 file = self._file(index, number)
                 try:
                     found[index] = self._read_record(file, number)
-                except FileNotFoundError:  # its policy has just removed it
+                except FileNotFoundError:  # the other policy has removed it meanwhile
                     continue
                 except ConfigError as error:
                     if file not in self._warned:
@@ -244,11 +246,11 @@ class Workspace:
         return found
 
     def checkpoint_of(self, policy_idx: int, record: Record) -> Path:
-        """Return the path of the checkpoint that was written with a record."""
+        """Return the path of a record's checkpoint."""
         return self._file(policy_idx, record.iteration).with_suffix(".pth")
 
     def _iterations(self, policy_idx: int) -> list[int]:
-        """Return the iterations of which a policy has records, in order."""
+        """Return the iterations of a policy's records in ascending order."""
         paths = (self._folder / f"{policy_idx:03d}").glob("*.yaml")
         return sorted(int(found[1]) for path in paths if (found := _RECORD.fullmatch(path.name)))
 
@@ -259,7 +261,7 @@ class Workspace:
         """Return a record.
 
         Raises:
-            FileNotFoundError: it was removed.
+            FileNotFoundError: the file was removed.
             ConfigError: the file is broken.
         """
         content = _read_yaml(file)
@@ -277,7 +279,7 @@ class Workspace:
 
 
 def _read_yaml(file: Path) -> dict[str, Any]:
-    """Return the mapping in a file; errors are those of `_read_record`."""
+    """Return the mapping in a file; see `_read_record` for errors."""
     try:
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -290,7 +292,7 @@ def _read_yaml(file: Path) -> dict[str, Any]:
 
 
 def _experiment(tree: Mapping[str, Any], settings: PBTSettings) -> dict[str, Any]:
-    """Return what must be the same for all policies of a population."""
+    """Return the settings that must be equal for all policies of a population."""
     network = dict(leaves(select(tree, "train.params.network"), "train.params.network"))
     return {
         "task": select(tree, "task.name"),

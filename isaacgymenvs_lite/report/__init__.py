@@ -1,1 +1,1 @@
-"""What a run did, on one page: isaacgymenvs-lite report runs/<run>."""
+"""Writes the report of a run: isaacgymenvs-lite report runs/<run>."""

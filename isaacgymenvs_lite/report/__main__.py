@@ -1,9 +1,9 @@
-"""Writes what a run did onto one HTML page: isaacgymenvs-lite report runs/<run>.
+"""Writes a report of a run, one HTML page: isaacgymenvs-lite report runs/<run>.
 
     isaacgymenvs-lite report runs/HumanoidAMP_22-10-15-30             # report.html in it
     isaacgymenvs-lite report runs/HumanoidAMP_22-10-15-30 out=walk.html
 
-The page has the curves, the configuration and the last video of the run, and needs no other file.
+The page contains the curves, the configuration and the last video of the run.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ class ReportSettings:
     """Arguments of the command in addition to the run."""
 
     out: str = setting("")
-    """File; '': report.html in the run's folder."""
+    """Path of the page; '' means report.html in the run's folder."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
+    """Run the command line; return the exit code."""
     parser = argparse.ArgumentParser(prog="isaacgymenvs-lite report", description=__doc__)
     parser.add_argument("run", type=Path, help="folder of the run")
     words = argparse.Namespace()

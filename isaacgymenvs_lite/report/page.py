@@ -21,7 +21,7 @@ from isaacgymenvs_lite.utils.files import written_for_user
 MAX_VIDEO_BYTES = 8 * 2**20
 _REWARD = ("rewards/frame", "rewards/step")
 _LENGTH = ("episode_lengths/frame", "episode_lengths/step")
-# Title -> label of a curve -> tags, of which the first that the run has is drawn.
+# Maps titles of charts to labels of curves, and labels to tags; the first tag of the run is drawn.
 _CHARTS: dict[str, dict[str, tuple[str, ...]]] = {
     "Task reward of an episode": {"training": _REWARD, "mean policy": ("measured/reward",)},
     "Reward per step, by source": {
@@ -45,13 +45,13 @@ _CHARTS: dict[str, dict[str, tuple[str, ...]]] = {
         "clips": ("info/disc_demo_acc",),
     },
 }
-# Title of a chart -> start of the tags that it draws.
+# Maps titles of charts to the beginning of the tags that the chart draws.
 _FAMILIES = {
     "Errors of the goal": "goal/",
     "Reward terms, per step": "reward_terms/",
     "Losses": "losses/",
 }
-# Name -> tags, and how the newest value is written.
+# Maps names to tags and the format of the newest value.
 _NEWEST = {
     "task reward of an episode": (_REWARD, "{:.4g}"),
     "measured reward": (("measured/reward",), "{:.4g}"),
@@ -70,20 +70,20 @@ def write_report(run: Path, out: Path | None = None) -> Path:
     """Write the page of a run, by default report.html in its folder, and return its path.
 
     Raises:
-        ConfigError: the folder is no run, has no scalars, or the file cannot be written.
+        ConfigError: the folder is not a run folder, has no scalars, or the file cannot be written.
     """
     out = out or run / "report.html"
     if not event_files(run / "summaries"):
         raise ConfigError(
-            f"{run}: no event files in its folder summaries; expected the folder of a run that was"
-            " trained for one epoch at least, runs/<run>"
+            f"{run}: no event files in its folder summaries; expected the folder of a run,"
+            " runs/<run>, that was trained for at least one epoch"
         )
     try:
         scalars = read_scalars(run / "summaries")
-    except Exception as error:  # on arbitrary bytes the reader may raise anything
+    except Exception as error:  # the reader raises many types of errors for damaged files
         raise ConfigError(f"{run}: its event files cannot be read ({error})") from error
     if not scalars:
-        raise ConfigError(f"{run}: no epoch has ended yet; try again when one has")
+        raise ConfigError(f"{run}: no epoch has ended yet; try again later")
     config_file = run / "config.yaml"  # rl_games' own runs have none
     config = config_file.read_text("utf-8", "replace") if _is_own(config_file, run) else ""
     charts = "\n".join(_draw(title, lines) for title, lines in charts_of(scalars).items())
@@ -110,7 +110,7 @@ def write_report(run: Path, out: Path | None = None) -> Path:
 
 
 def summarize(config: str, scalars: Mapping[str, Series]) -> dict[str, str]:
-    """Return name -> value, as text, of config.yaml's text and the scalars, in the page's order."""
+    """Return texts about the run by name, from the text of config.yaml and from the scalars."""
     clock = first_of(scalars, FPS_TAGS)
     facts = {"task": "", "algorithm": ""}
     with contextlib.suppress(Exception):  # of a damaged file the page shows the text
@@ -127,7 +127,7 @@ def summarize(config: str, scalars: Mapping[str, Series]) -> dict[str, str]:
 
 
 def charts_of(scalars: Mapping[str, Series]) -> dict[str, dict[str, Series]]:
-    """Return title -> label -> scalar: at most ten charts, those that the run has scalars for."""
+    """Return at most ten charts for which the run has scalars: scalars by title and label."""
     charts = {
         title: {label: first_of(scalars, tags) for label, tags in lines.items()}
         for title, lines in _CHARTS.items()
@@ -144,7 +144,7 @@ def charts_of(scalars: Mapping[str, Series]) -> dict[str, dict[str, Series]]:
 
 def _draw(title: str, lines: Mapping[str, Series]) -> str:
     """Return a chart as an HTML element."""
-    # Labels may be tags of somebody else's files, which are no formulas.
+    # Labels may be tags of a stranger's files, so matplotlib must not read them as formulas.
     with matplotlib.rc_context({"text.parse_math": False}):
         figure = Figure(figsize=(5.6, 2.8), dpi=100, layout="constrained")
         panel = figure.subplots()
@@ -164,12 +164,12 @@ def _draw(title: str, lines: Mapping[str, Series]) -> str:
 
 
 def _is_own(file: Path, run: Path) -> bool:
-    """Whether a file lies in the run's folder; a link may show any other file."""
+    """Return whether a file is in the run's folder; a link may point to any other file."""
     return file.is_file() and file.resolve().is_relative_to(run.resolve())
 
 
 def _video(run: Path) -> str:
-    """Return the newest video of a run, the name alone of a large one; '' if it has none."""
+    """Return the newest video of a run as HTML, or the name of a large video; '' without one."""
     own = (file for file in run.glob("videos/**/*.mp4") if _is_own(file, run))
     file = max(own, key=lambda file: file.stat().st_mtime, default=None)
     if file is None:

@@ -12,22 +12,22 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 FPS_TAGS = ("performance/total_fps", "performance/step_inference_rl_update_fps")
-"""The clock of a run: written after every epoch, also after the first one of a resumed run, by our
-agents and rl_games' own."""
+"""The tags that measure the time of a run, because our agents and rl_games' agents write them after
+every epoch."""
 
-# Ends of scalars over epochs or seconds: each also exists over frames, or belongs to no frame.
+# Suffixes of tags over epochs or seconds. Most of these scalars also exist over frames.
 _OTHER_AXES = ("/iter", "/time")
 _OVER_EPOCHS = "Episode/"
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One scalar over a training; three arrays (n,).
+    """One scalar over a training.
 
     Attributes:
-        frames: TensorBoard's step: frames before the epoch of the value.
-        minutes: time trained when it was written.
-        values: the scalar.
+        frames: (n,) frames before the epoch of each value, TensorBoard's step.
+        minutes: (n,) training time of each value.
+        values: (n,) the scalar.
         resumed_at: frames at which the training was resumed.
     """
 
@@ -42,11 +42,11 @@ class Series:
 
     @property
     def last(self) -> float:
-        """The newest value; nan without one."""
+        """The newest value; nan without values."""
         return float(self.values[-1]) if len(self) else float("nan")
 
     def without(self, frames: float) -> Series:
-        """Return the series without the values of so many frames after each resumption."""
+        """Return the series without the values of the first `frames` after each resumption."""
         kept = np.ones(len(self), dtype=bool)
         for start in self.resumed_at:
             kept &= (self.frames < start) | (self.frames >= start + frames)
@@ -58,7 +58,7 @@ class Series:
         return Series(*columns, resumed_at=self.resumed_at)
 
     def first_reach(self, at_least: float) -> tuple[float, float] | None:
-        """Return (frames, minutes) of the first value of at least `at_least`; None without one."""
+        """Return (frames, minutes) of the first value of at least `at_least`, or None."""
         reached = np.flatnonzero(self.values >= at_least)
         if len(reached) == 0:
             return None
@@ -70,27 +70,26 @@ NOTHING = Series(np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 def first_of(scalars: Mapping[str, Series], tags: Sequence[str]) -> Series:
-    """Return the first of several scalars that a run has; `NOTHING` if it has none."""
+    """Return the scalar of the first tag that exists; `NOTHING` if no tag exists."""
     return next((scalars[tag] for tag in tags if tag in scalars), NOTHING)
 
 
 def event_files(summaries: Path) -> list[Path]:
-    """Return the event files in a run's folder summaries/, the oldest first."""
+    """Return the event files in a run's folder summaries/ in chronological order."""
     return sorted(file for file in summaries.glob("events.out.tfevents.*") if file.is_file())
 
 
 def read_scalars(summaries: Path) -> dict[str, Series]:
-    """Read the event files in a run's folder summaries/: every scalar over frames, by its tag.
+    """Read all scalars over frames from the event files in a run's folder summaries/.
 
     Minutes are wall-clock time since the agent was made, some seconds after the command; they
     include measurements and checkpoints. The parts of a resumed run follow one another without the
-    pause. Training after the checkpoint that a run was resumed from is lost; its values and minutes
-    are left out.
+    pause. Values and minutes after the checkpoint from which a run was resumed are left out.
 
     Returns:
-        Tag -> values; empty if there are no files, or none with an epoch in it.
+        The scalars by their tags; empty if no file has an epoch.
     """
-    parts: dict[str, list[FloatArray]] = {}  # of arrays (n, 3)
+    parts: dict[str, list[FloatArray]] = {}  # arrays (n, 3)
     starts: list[float] = []
     for file in event_files(summaries):
         part = _read_file(file)
@@ -112,7 +111,7 @@ def read_scalars(summaries: Path) -> dict[str, Series]:
 
 def _read_file(file: Path) -> dict[str, FloatArray]:
     """Return for every scalar over frames the rows (frames, minutes, value) of one process."""
-    # Takes half a second to import, which an error message need not wait for.
+    # This import takes half a second, for which an error message should not wait.
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     events = EventAccumulator(str(file), {"scalars": 0})

@@ -1,1 +1,1 @@
-"""Viewers of a training or a play: videos, a window, a page in a browser."""
+"""Shows a training or a play in videos, in a window, or on a page in a browser."""

@@ -1,6 +1,6 @@
-"""The reference motion of a task that imitates: as a track, and as a translucent robot in viewers.
+"""Shows the reference motion of an imitation task as a track or as a translucent robot.
 
-(track,) = recorder.tracks()                    # of a `PoseRecorder`
+(track,) = recorder.tracks()                    # recorded by a `PoseRecorder`
 reference = reference_track(env, track)         # the clip, from the same phase on
 """
 
@@ -21,19 +21,19 @@ from isaacgymenvs_lite.rendering.tracks import TrackMaker
 
 Pose = npt.NDArray[np.float64]
 
-# Control steps that identify the phase of a motion: a single pose may occur twice in a clip, on the
-# way up and on the way down.
+# Number of control steps that identify the phase of a motion. A single pose may occur twice in a
+# clip, on the way up and on the way down.
 _PHASE_STEPS = 6
-# m, from the character to its reference, in the world's horizontal axes: seen from the right of a
-# character that walks along x, the reference is behind it.
+# Horizontal offset (m) of the reference from the character in the world frame. From the right side
+# of a character that walks along x, the reference is behind the character.
 _OFFSET_M = (0.0, 1.0)
 
 
 def reference_track(env: Any, like: Track) -> Track:
-    """Return the reference clip of a task, as long as `like` (T, nq) and from the same phase on.
+    """Return the reference clip of a task, with the length and phase of the track `like` (T, nq).
 
-    Clip and phase are those whose joints are nearest to the first steps of `like`. At its end the
-    clip starts again, at the place that its root has reached.
+    Clip and phase are chosen by the nearest joint positions to the first steps of `like`. The clip
+    repeats from the place that its root has reached.
     """
     clips = ReferenceClips(env)
     motion_id, first = clips.phase(like)
@@ -47,7 +47,7 @@ class ReferenceClips:
         self._motion_lib: MotionLib = env.motion_lib
         self._dt_s = float(env.dt)
         self._maker = TrackMaker(env.simulation.model)
-        # Poses of each clip without the root, at every control step.
+        # The poses of each clip without the root, at every control step.
         self._joints: list[Track] = []
         for motion_id in range(env.motion_lib.num_motions()):
             length_s = float(self._motion_lib.get_motion_length([motion_id]))
@@ -55,7 +55,7 @@ class ReferenceClips:
             self._joints.append(self.track(motion_id, frames)[:, self._maker.root_size :])
 
     def phase(self, like: Track) -> tuple[int, int]:
-        """Return the clip, and the control step in it, nearest to the first steps of `like`."""
+        """Return the clip and its control step that are nearest to the first steps of `like`."""
         start = like[:_PHASE_STEPS, self._maker.root_size :]
         best = (math.inf, 0, 0)
         for motion_id, joints in enumerate(self._joints):
@@ -66,15 +66,15 @@ class ReferenceClips:
         return best[1:]
 
     def track(self, motion_id: int, steps: range) -> Track:
-        """Return a clip's poses at control steps, repeated beyond its length."""
+        """Return the poses of a repeated clip at control steps."""
         length_s = float(self._motion_lib.get_motion_length([motion_id]))
         times_s = self._dt_s * torch.tensor(steps, dtype=torch.float64)
-        # The last two times are the clip's start and end, between which a repetition moves on.
+        # The last two times are start and end of the clip; a repetition moves by their difference.
         in_clip_s = torch.cat((times_s % length_s, torch.tensor([0.0, length_s])))
         motion_ids = torch.full((len(in_clip_s),), motion_id)
         state = self._motion_lib.get_motion_state(motion_ids, in_clip_s)
         displacement_m = (state.root_pos[-1] - state.root_pos[-2]).cpu()
-        displacement_m[2] = 0.0  # a clip that ends higher than it starts does not climb
+        displacement_m[2] = 0.0  # repetitions do not climb
         repetitions = torch.floor(times_s / length_s).unsqueeze(-1)
         root_pos = state.root_pos[:-2].cpu() + repetitions * displacement_m
         roots = torch.cat((root_pos, state.root_rot[:-2].cpu()), dim=-1)
@@ -82,7 +82,7 @@ class ReferenceClips:
 
 
 class ReferenceOverlay:
-    """Adds the reference of environment 0 to a scene, as a robot beside the character."""
+    """Adds the reference of environment 0 to a scene, as a robot next to the character."""
 
     def __init__(self, env: Any, model: mujoco.MjModel) -> None:
         self._env = env
@@ -99,13 +99,13 @@ class ReferenceOverlay:
         return cls(env, model) if hasattr(env, "motion_lib") else None
 
     def add_to(self, scene: mujoco.MjvScene, qpos: Pose) -> None:
-        """Add the reference beside a character at joint positions `qpos` (nq,) to a scene."""
+        """Add the reference to a scene, next to a character in the pose `qpos` (nq,)."""
         self._robot.add_to(scene, self.pose(qpos))
 
     def pose(self, qpos: Pose) -> Pose:
-        """Return the reference's joint positions (nq,) beside a character at `qpos`.
+        """Return the reference's pose (nq,) next to a character in the pose `qpos`.
 
-        Call it for each control step, or less often.
+        Call it once per control step, or less often.
         """
         step = int(self._env.progress_buf[0])
         passed = step - self._last_step
@@ -114,7 +114,7 @@ class ReferenceOverlay:
             self._steps = passed = 0
         self._last_step = step
         self._steps += passed
-        # As long as no step was left out, the poses so far are a piece of a motion.
+        # The poses so far are consecutive if no step was left out.
         if self._steps == len(self._first_poses) < _PHASE_STEPS:
             self._first_poses.append(qpos)
             self._phase = self._clips.phase(np.stack(self._first_poses))

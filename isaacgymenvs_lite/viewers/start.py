@@ -1,4 +1,4 @@
-"""Videos, window and page of a session: checked before anything starts, then started."""
+"""Checks and starts the videos, the window and the page of a session."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 
 class Viewers:
-    """The viewers of a session, which the settings choose. Use it in a `with` statement.
+    """The viewers that the settings choose, for use in a `with` statement.
 
     Raises:
         RenderingError: this machine cannot draw.
@@ -47,12 +47,12 @@ class Viewers:
 
         Args:
             env: the task.
-            run_folder: videos go to the folder `videos/` in it.
-            on_quit: called in the task's thread when the window is closed.
-            prefix: of the names of videos.
+            run_folder: folder whose subfolder `videos/` receives the videos.
+            on_quit: is called in the task's thread when the window is closed.
+            prefix: prefix of the videos' names.
 
         Raises:
-            ConfigError: the folder of videos cannot be written or has links, or a port was taken.
+            ConfigError: the folder of videos cannot be written or has links, or a port is taken.
         """
         settings, folder = self._settings, run_folder / "videos"
         self._env = env
@@ -79,7 +79,7 @@ class Viewers:
             every_step = settings.force_render
             self._add(Window(env, folder, on_quit, every_step=every_step, keys_to_task=plays))
         if settings.viewer == "web":
-            # A play waits for the simulated time: it would be over too soon.
+            # A play runs in real time, because it would be over too soon otherwise.
             self._add(WebPage(env, settings.viewer_port, real_time=plays, keys_to_task=plays))
         watched = not settings.headless or settings.viewer == "web"
         if plays and watched and (help_line := getattr(env, "key_help", "")):

@@ -1,7 +1,7 @@
-"""Videos of a task, drawn and encoded in a thread, so that the task does not wait.
+"""Draws and encodes videos of a task in a thread, so that the task does not wait.
 
-Recording copies the state of the shown environments, some dozens of values. Drawing and encoding
-take a hundred times as long.
+Recording copies only some dozens of values per step; drawing and encoding take a hundred times as
+long.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from isaacgymenvs_lite.rendering.view import View
 log = logging.getLogger(__name__)
 
 SINGLE_SIZE, TILE_SIZE = (640, 480), (320, 240)
-"""Pixels of a picture of one environment, and of each of several."""
-# Jobs that may wait, because their poses are in memory.
+"""Size in pixels of a picture of one environment, and of each picture of several."""
+# Largest number of waiting jobs, whose poses are in memory.
 _MAX_WAITING = 8
 
 
@@ -34,11 +34,11 @@ class VideoJob(NamedTuple):
     """The content of a video.
 
     Attributes:
-        path: the file, .mp4; an existing file stays, and the new name gets a number.
-        model: of the robots.
-        dt_s: from one picture to the next.
-        tracks: (T, nq) each.
-        markers: to draw, for each time, for each track.
+        path: path of the .mp4 file; if it exists, the new file's name gets a number.
+        model: model of the robots.
+        dt_s: time between pictures in s.
+        tracks: (T, nq) for each robot.
+        markers: markers for each time and track.
         follow: whether the camera follows the robot.
     """
 
@@ -51,10 +51,10 @@ class VideoJob(NamedTuple):
 
 
 class VideoWriter:
-    """Writes videos one after the other, in a thread that starts with the first.
+    """Writes videos one after the other, in a thread that starts with the first video.
 
-    A video that cannot be written is reported in the log, so that a training goes on. `on_done` is
-    called in the thread with the path of each video.
+    The log reports a video that cannot be written, and the training goes on. The thread calls
+    `on_done` with the path of each video.
     """
 
     def __init__(self, on_done: Callable[[Path], None] | None = None) -> None:
@@ -64,7 +64,7 @@ class VideoWriter:
         self._left_out = 0
 
     def make(self, env: Any, recorder: PoseRecorder, path: Path) -> None:
-        """Queue a recording of a task; it is left out if too many wait already.
+        """Queue a recording of a task; it is dropped if too many jobs are waiting.
 
         `task.env.cameraFollow: False` fixes the camera.
         """
@@ -131,7 +131,11 @@ def write_video(job: VideoJob) -> Path:
 
 
 def make_video_folder(folder: Path) -> None:
-    """Make a folder; raise a `ConfigError` if files cannot be written into it."""
+    """Make a folder for videos.
+
+    Raises:
+        ConfigError: files cannot be written into it.
+    """
     trial = folder / ".trial"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -151,11 +155,11 @@ class VideoCapture:
     Args:
         env: the task.
         video_writer: draws the recordings.
-        folder: where the files go; it exists.
-        every: control steps from the start of one recording to the start of the next.
+        folder: existing folder for the files.
+        every: control steps between the starts of two recordings.
         length: control steps of a recording.
-        num_envs: number of environments that are shown, in tiles.
-        prefix: the files are called `<prefix>-step-<steps made before>.mp4`.
+        num_envs: number of environments to show, in tiles.
+        prefix: beginning of the names `<prefix>-step-<control steps before>.mp4`.
     """
 
     def __init__(
@@ -192,7 +196,7 @@ class VideoCapture:
                 self._finish()
 
     def render(self) -> None:
-        """Do nothing: recordings do not depend on windows."""
+        """Do nothing, because recordings do not depend on `render`."""
 
     def close(self) -> None:
         """End the current recording, and wait until all videos are written."""

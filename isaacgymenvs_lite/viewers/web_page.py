@@ -1,8 +1,7 @@
-"""A task in a browser: MuJoCo's web viewer on one port of localhost, for a training or a play.
+"""Shows a task in a browser by MuJoCo's web viewer, on a port of localhost.
 
-The viewer is native code with threads of its own, so it runs in a process of its own
-(`web_server`): a fault there cannot end a training. The task sends a state up to 30 times a second
-and never waits.
+The viewer has native code and threads, so it runs in its own process (`web_server`), whose faults
+cannot end a training. The task sends its state up to 30 times a second and never waits.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from isaacgymenvs_lite.viewers.window import press_key
 
 log = logging.getLogger(__name__)
 
-# Limit of the states that are sent to the page.
+# Largest number of states per second.
 _PICTURES_PER_S = 30.0
 _CLOSE_TIMEOUT_S = 3.0
 _MAX_KEY_BYTES = 16
@@ -46,10 +45,10 @@ class WebPage:
     If the page's process ends, the task goes on without it.
 
     Args:
-        env: the task; the reference of a task that imitates is shown beside the character.
-        port: 0 takes a free one.
-        real_time: let the task wait, so that it is no faster than the simulated time.
-        keys_to_task: whether keys that are pressed in the page reach the task's `on_key`.
+        env: the task; the page also shows the reference of an imitation task.
+        port: port number; 0 means any free port.
+        real_time: whether the task waits, so that it is not faster than the simulated time.
+        keys_to_task: whether the task's `on_key` receives the keys that are pressed on the page.
 
     Raises:
         ConfigError: the port is taken, or the viewer is not installed.
@@ -59,7 +58,7 @@ class WebPage:
         check_page(port)
         self._env, self._keys_to_task = env, keys_to_task
         self._read_pose = PoseReader(env)
-        # Rough ground is drawn around the robot only, like in videos.
+        # Only the piece of rough ground around the robot is drawn, as in videos.
         self._model: mujoco.MjModel = copy.copy(env.simulation.model)
         self._ground = TerrainWindow(self._model)
         self._ground.move(self._read_pose(0)[:2])
@@ -68,7 +67,7 @@ class WebPage:
         self._markers_of = markers_of(env)
         self._pace_s = env.simulation.dt if real_time else 0.0
         self._next_step_s = self._next_picture_s = time.monotonic()
-        # A message is one packet, sent as a whole or not at all.
+        # A message is one packet, which is sent completely or not at all.
         self._link, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._link.setblocking(False)
         with there, _listen(port) as listener:
@@ -80,11 +79,11 @@ class WebPage:
 
     @property
     def keeps_playing(self) -> bool:
-        """Whether the page is served: browsers may come and go."""
+        """Whether the page is served; browsers may come and go."""
         return self._is_open and self.process.poll() is None
 
     def after_step(self) -> None:
-        """Pass on keys, and show the new state if the last one was long enough ago."""
+        """Pass on keys, and show the new state unless the last one is too recent."""
         self._read_keys()
         now = time.monotonic()
         if now >= self._next_picture_s:
@@ -98,7 +97,7 @@ class WebPage:
         for _ in range(_MAX_KEYS):
             try:
                 packet = self._link.recv(_MAX_KEY_BYTES)
-            except OSError:  # no key, or the other end is closed
+            except OSError:  # there is no key, or the other end is closed
                 return
             if not packet:
                 return
@@ -131,7 +130,7 @@ class WebPage:
             return self._send(b"model", file.fileno())
 
     def _send(self, packet: bytes, *files: int) -> bool:
-        """Send a packet; return whether there was room."""
+        """Send a packet; return whether the socket accepted it."""
         try:
             socket.send_fds(self._link, [packet], files)
         except OSError:
@@ -139,7 +138,7 @@ class WebPage:
         return True
 
     def close(self) -> None:
-        """End the page within seconds; a second call does nothing."""
+        """End the page's process; a second call does nothing."""
         self._is_open = False
         self._link.close()
         try:
@@ -150,7 +149,11 @@ class WebPage:
 
 
 def check_page(port: int) -> None:
-    """Raise a `ConfigError` if the port is taken or the viewer is not installed."""
+    """Check that the page can be served.
+
+    Raises:
+        ConfigError: the port is taken, or the viewer is not installed.
+    """
     if sys.platform != "linux":
         raise ConfigError(
             f"viewer=web runs on Linux only so far, not on {sys.platform}; capture_video=True makes"
@@ -179,9 +182,9 @@ def _listen(port: int) -> socket.socket:
 
 
 def _start(link: socket.socket, listener: socket.socket) -> subprocess.Popen[bytes]:
-    """Start the process of a page; both sockets stay open in it."""
+    """Start the process of a page, which inherits both sockets."""
     files = (link.fileno(), listener.fileno())
-    # It imports what this process imports, whatever its current folder is.
+    # The new process has the import path of this process.
     folders = [str(Path(isaacgymenvs_lite.__file__).parents[1])]
     folders += [os.path.abspath(folder) for folder in sys.path if folder]
     arguments = map(str, (os.getpid(), *files))
@@ -191,5 +194,5 @@ def _start(link: socket.socket, listener: socket.socket) -> subprocess.Popen[byt
         env={**os.environ, "PYTHONPATH": os.pathsep.join(folders)},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
-        process_group=0,  # a terminal's Ctrl-C is for the task, which then closes the page
+        process_group=0,  # a terminal's Ctrl-C reaches only the task, which closes the page
     )

@@ -1,9 +1,9 @@
-"""The process of a page: MuJoCo's web viewer, with a robot and markers beside the character.
+"""Runs MuJoCo's web viewer in a process of its own, with the reference robot and markers.
 
-`web_page` starts it with two sockets: the link to the task, and the one that browsers connect to.
-MuJoCo's server answers the pages of all sites, so requests are checked before it sees them: the
-Host must be localhost, which keeps out sites whose name resolves to this machine (DNS rebinding),
-and the Origin must be the page itself.
+`web_page` starts this process with two sockets: the link to the task, and the socket to which
+browsers connect. MuJoCo's server would answer requests from all sites, so they are checked first.
+The Host must be localhost, which refuses sites whose name resolves to this machine (DNS rebinding).
+The Origin must be the page itself.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _MAX_PACKET_BYTES = 2**18
 _MAX_GEOMS = 200
 _MAX_MESSAGE_BYTES = 2**16
 _LOCAL_NAMES = ("localhost", "127.0.0.1")
-# Custom number of a model with the colour of the page's sky.
+# Name of a model's custom numeric field with the colour of the page's sky.
 _SKY_COLOUR = "filament.clear_color"
 KEYS = {
     **{f"{name.capitalize()}Arrow": name for name in ("up", "down", "left", "right")},
@@ -44,18 +44,18 @@ KEYS = {
     **{letter.upper(): letter for letter in string.ascii_lowercase},
     **{f"N{digit}": digit for digit in string.digits},
 }
-"""The names in `KEY_NAMES`, by Dear ImGui's."""
+"""Maps Dear ImGui's keys to the names in `KEY_NAMES`."""
 
 
 def main() -> None:
-    """Serve a page until the task's process closes the link, or ends."""
+    """Serve a page until the task's process closes the link or ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the task decides what Ctrl-C ends
     parent, *files = map(int, sys.argv[1:])
     link, listener = (socket.socket(fileno=file) for file in files)
     server_log = logging.getLogger("WebServer")
     server_log.handlers.clear()
     server_log.setLevel(logging.WARNING)
-    # A browser that leaves while it is sent a state is no error.
+    # A browser that disconnects while it receives a state is not an error.
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
     # MuJoCo's server has no parameters for its address and for checks.
     web_server.bind_public_socket = lambda host, port: listener
@@ -67,7 +67,7 @@ def main() -> None:
     config = viewer_protocol.ViewerConfig(title="isaacgymenvs_lite", gfx="web")
     viewer = web_viewer.WebViewer(config, endpoint, model=model, plugins=[PagePlugin(link)])
     viewer_protocol.run_viewer_loop(viewer)
-    # Native threads and objects of the viewer would be freed in any order.
+    # A normal exit would free native threads and objects of the viewer in any order.
     os._exit(0)
 
 
@@ -78,7 +78,7 @@ async def serve_locally(
     process_response: Callable[[ServerConnection, Request, Response], Response | None],
     **options: Any,
 ) -> Server:
-    """Serve as `websockets.serve` does, to pages of this machine only."""
+    """Serve like `websockets.serve`, but only to pages of this machine."""
 
     def check(connection: ServerConnection, request: Request) -> Response | None:
         host = request.headers.get("Host", "")
@@ -109,17 +109,17 @@ async def serve_locally(
 
 @dataclass(frozen=True)
 class BesideSnapshot(messages.Snapshot):
-    """What is drawn beside the character: joint positions (nq,) of a robot, and markers."""
+    """The pose (nq,) of the reference robot, and the markers."""
 
     reference: npt.NDArray[np.float64] | None = None
     markers: tuple[Marker, ...] = ()
 
 
 class LinkEndpoint:
-    """The viewer's `ViewerEndpoint`: what the task sends becomes its messages.
+    """The viewer's `ViewerEndpoint`, which turns packets of the task into the viewer's messages.
 
-    The link alone does not show the end of the task's process `parent`: processes that the task
-    forked may hold the other end.
+    The link does not always show the end of the task's process `parent`, because processes that the
+    task has forked may hold the other end.
     """
 
     def __init__(self, link: socket.socket, parent: int) -> None:
@@ -128,14 +128,14 @@ class LinkEndpoint:
         self._states: list[messages.Snapshot] = []
 
     def wait_for_model(self) -> mujoco.MjModel | None:
-        """Return the first model, which the task sends first; None if the task ended before."""
+        """Return the first model, which the task sends first; None if the task has ended."""
         self._link.setblocking(True)
         event = self._read_packet()
         self._link.setblocking(False)
         return event.model if isinstance(event, messages.ModelEvent) else None
 
     def get_sim_events(self) -> list[messages.Event]:
-        """Return a new model, or the end; the viewer asks before each picture."""
+        """Return a new model or the end of the task; the viewer calls this before each picture."""
         events: list[messages.Event] = []
         if os.getppid() != self._parent:
             return [messages.ExitEvent()]
@@ -149,7 +149,7 @@ class LinkEndpoint:
         return events
 
     def _read_packet(self) -> messages.Event | None:
-        """Return a model or the end, or store a state and return None.
+        """Return a model or the end of the task, or store a state and return None.
 
         Raises:
             BlockingIOError: no packet has arrived.
@@ -164,28 +164,28 @@ class LinkEndpoint:
             with os.fdopen(files[0], "rb") as file:
                 file.seek(0)
                 content = file.read()
-            self._states = []  # of the model before
+            self._states = []  # these states belong to the previous model
             model = mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": content})
             return messages.ModelEvent(model)
-        qpos, reference, markers = pickle.loads(packet)  # of the task, this process's parent
+        qpos, reference, markers = pickle.loads(packet)  # sent by the parent process, the task
         state = messages.StateSnapshot(qpos, int(mujoco.mjtState.mjSTATE_QPOS))
         self._states = [state, BesideSnapshot(reference, tuple(markers))]
         return None
 
     def get_sim_snapshots(self) -> list[messages.Snapshot]:
-        """Return the newest state, once."""
+        """Return each newest state once."""
         states, self._states = self._states, []
         return states
 
     def send_to_sim(self, message: messages.Message) -> None:
-        """Drop what a browser would change in the simulation."""
+        """Drop changes that a browser would make in the simulation."""
 
     def close(self) -> None:
-        """Do nothing: the process ends next."""
+        """Do nothing, because the process ends next."""
 
 
 class PagePlugin(plugin.ViewerPlugin):
-    """Adds what is beside the character, aims the camera, and passes keys on."""
+    """Adds the reference robot and markers, aims the camera, and passes on keys."""
 
     def __init__(self, link: socket.socket) -> None:
         self._link = link
@@ -194,11 +194,11 @@ class PagePlugin(plugin.ViewerPlugin):
 
     @messages.handler
     def on_init(self, event: viewer_protocol.ViewerInitEvent) -> None:
-        """Let the camera follow a robot that moves about, and use the colours of videos."""
+        """Let the camera follow a robot with a free root, and use the colours of videos."""
         viewer = event.viewer
         aim_camera(viewer.camera, viewer.model)
         flags = list(viewer.render_flags.flags)
-        # The floor would mirror the sky so strongly that it looks white.
+        # The reflected sky would make the floor look white.
         flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
         if mujoco.mj_name2id(viewer.model, mujoco.mjtObj.mjOBJ_NUMERIC, _SKY_COLOUR) >= 0:
             flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0  # dark grey, whatever its texture
@@ -206,12 +206,12 @@ class PagePlugin(plugin.ViewerPlugin):
 
     @messages.handler
     def on_model(self, event: messages.PostModelEvent) -> None:
-        """Forget the robot of the model before."""
+        """Forget the robot of the previous model."""
         self._overlay = None
 
     @messages.handler
     def on_beside(self, snapshot: BesideSnapshot) -> None:
-        """Store it for the next picture."""
+        """Store the snapshot for the next picture."""
         self._beside = snapshot
 
     @messages.handler

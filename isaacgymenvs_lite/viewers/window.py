@@ -1,4 +1,4 @@
-"""A window on a display: MuJoCo's passive viewer, with Isaac Gym's keys, for environment 0."""
+"""Shows environment 0 in a window: MuJoCo's passive viewer with Isaac Gym's keys."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ log = logging.getLogger(__name__)
 
 KEY_NAMES = ("up", "down", "left", "right", "space", *string.ascii_lowercase, *string.digits)
 """Keys of a window or a page that `VecTask.on_key` can receive."""
-# Control steps of a recording at most; more than a minute of every task.
+# Largest number of control steps of a recording, more than a minute of every task.
 _MAX_RECORDED = 10_000
 _CLOSING_S = 5.0
-# GLFW's key codes: of letters and digits the ASCII codes, letters as capitals.
+# GLFW's key codes are ASCII codes for digits and capital letters.
 _ESCAPE = 256
 _NAMES = {265: "up", 264: "down", 263: "left", 262: "right", ord(" "): "space"} | {
     ord(name.upper()): name for name in KEY_NAMES if len(name) == 1
@@ -36,17 +36,17 @@ _NAMES = {265: "up", 264: "down", 263: "left", 262: "right", ord(" "): "space"} 
 
 
 def press_key(env: Any, name: str) -> None:
-    """Call a task's `on_key`, between two steps, for the keys of `KEY_NAMES`."""
+    """Call a task's `on_key` between two steps, for the keys in `KEY_NAMES`."""
     if name in KEY_NAMES:
         env.on_key(name)
 
 
 class Keys:
-    """The state that Isaac Gym's viewer keys set, passed from the window's thread to the task's.
+    """The state of Isaac Gym's viewer keys, passed from the window's thread to the task's thread.
 
     Args:
-        env: its `on_key` receives the other keys (`VecTask`).
-        to_task: False drops the other keys: a viewer must not change what a training learns.
+        env: a task whose `on_key` receives the other keys (`VecTask`).
+        to_task: whether the task receives other keys; a training must not depend on them.
 
     Attributes:
         sync: V: whether the window shows each step, no faster than the simulated time.
@@ -64,11 +64,11 @@ class Keys:
         self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
 
     def press(self, key: int) -> None:
-        """Queue a key, by GLFW's code; may be called in any thread."""
+        """Queue a key by GLFW's code; any thread may call this method."""
         self._pressed.put(key)
 
     def update(self) -> None:
-        """Apply the keys that were pressed since the last call; call it between two steps."""
+        """Apply the keys that were pressed since the last call, between two steps."""
         while not self._pressed.empty():
             key = self._pressed.get()
             if key == ord("V"):
@@ -89,11 +89,11 @@ class Window:
     """Shows environment 0 of a task in a window; a `StepListener`.
 
     Args:
-        env: the task; the reference of a task that imitates is shown beside the character.
-        folder: where R puts videos.
-        on_quit: called in the task's thread when ESC was pressed or the window closed.
-        every_step: show every step; False: only when `env.render()` is called.
-        keys_to_task: whether keys reach the task's `on_key`.
+        env: the task; the window also shows the reference of an imitation task.
+        folder: folder for the videos of the key R.
+        on_quit: is called in the task's thread after ESC or when the window is closed.
+        every_step: whether to show every step, or only the calls of `env.render()`.
+        keys_to_task: whether the task's `on_key` receives keys.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class Window:
         return not self._has_ended
 
     def after_step(self) -> None:
-        """Apply the keys; record and show the step where they are set to."""
+        """Apply the keys; record and show the step if their state says so."""
         self._steps += 1
         self.keys.update()
         if not self._has_ended and (self.keys.quit or not self._viewer.is_running()):
@@ -193,11 +193,11 @@ class Window:
         self._video_writer.make(self._env, recorder, path)
 
     def close(self) -> None:
-        """Write a recording that runs, then close the window; a second call does nothing."""
+        """Write the running recording and close the window; a second call does nothing."""
         atexit.unregister(self.close)
         self._end_recording()
         self._video_writer.close()
         self._viewer.close()
-        # A window that still draws when the process ends crashes it.
+        # The process would crash if it ended while the window draws.
         for thread in self._threads:
             thread.join(_CLOSING_S)

@@ -98,10 +98,10 @@ def test_nothing_is_wrong_with_our_own_train_files() -> None:
 def test_mistakes_are_one_line_and_exit_code_2(capsys) -> None:
     for words, said in [
         (["AntPPO", "train.params.config.gamma=7"], "gamma: got 7, expected"),
-        (["AntPPO", "train.params.algo.name=a2c_discrete"], "actions are continuous, not discrete"),
+        (["AntPPO", "train.params.algo.name=a2c_discrete"], "got discrete actions"),
         (
             ["AntPPO", "+train.params.config.central_value_config={minibatch_size: 8}"],
-            "central_value_config: .*this task gives none",
+            "central_value_config: .*which this task lacks",
         ),
         (
             ["AnymalTerrainPPO_LSTM", "train.params.config.seq_length=5"],
@@ -211,7 +211,7 @@ params:
 def test_a_file_for_an_asymmetric_critic_with_memory(tmp_path: Path) -> None:
     file = tmp_path / "HandPPOAsymmLSTM.yaml"
     file.write_text(ASYMMETRIC)
-    with pytest.raises(ConfigError, match=r"central_value_config: .*this task gives none"):
+    with pytest.raises(ConfigError, match=r"central_value_config: .*which this task lacks"):
         describe(str(file), ["task=Ant"])
     lines = describe(str(file), ["task=Ant", "task.env.asymmetric_observations=True"])
     assert "asymmetric critic: actor_critic, [512] relu, lstm of 1024 units" in lines

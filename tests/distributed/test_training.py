@@ -149,7 +149,7 @@ train.main()
             "rank 1 has another setting than rank 0: train.params.config.gamma='0.5'",
             marks=pytest.mark.slow,
         ),
-        ("leaves", "rank 0: another process of this training ended; its error"),
+        ("leaves", "rank 0: another process of this training ended; read its error"),
     ],
 )
 def test_a_process_that_differs_or_leaves_ends_all(what, message, tmp_path):

@@ -78,7 +78,7 @@ def test_modules_that_are_not_here_say_why(found) -> None:
         name, _, rest = found[module].partition(": ")  # of the module, or of one above it
         assert f"isaacgymenvs.{module}.".startswith(f"{name}.")
         assert rest == (
-            f"{reason}; docs/migration.md lists IsaacGymEnvs' modules and what they became"
+            f"{reason}; docs/migration.md lists the replacements of IsaacGymEnvs' modules"
         )
 
 
