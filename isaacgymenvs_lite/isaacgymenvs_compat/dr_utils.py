@@ -1,6 +1,6 @@
 """The names of IsaacGymEnvs' `utils.dr_utils`.
 
-The two that deal with numbers do so; the others call Isaac Gym and are stand-ins.
+Two functions work; the others would call Isaac Gym and are stand-ins.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ def generate_random_samples(
     curr_gym_step_count: int,
     extern_sample: npt.ArrayLike | None = None,
 ) -> npt.NDArray[np.float64]:
-    """Return numbers to add to values, or to multiply them by, drawn by torch's generator.
+    """Draw random values that are added to properties or multiply them.
 
     Args:
         attr_randomization_params: `range`, `distribution`, `operation`, and `schedule` with
             `schedule_steps`, as in task files.
-        shape: of the result.
-        curr_gym_step_count: simulator calls so far, which the schedule depends on.
-        extern_sample: numbers that were drawn elsewhere, to be put on the schedule only.
+        shape: shape of the result.
+        curr_gym_step_count: number of simulator calls so far, on which the schedule depends.
+        extern_sample: values to which only the schedule is applied.
     """
     settings = read_section(
         AttributeSettings, {**attr_randomization_params, "num_buckets": None}, _WHERE

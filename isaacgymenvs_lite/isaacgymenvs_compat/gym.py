@@ -1,7 +1,7 @@
-"""The names of the package `gym`, where only gymnasium is installed, for scripts with `import gym`.
+"""The names of the package `gym`, for scripts that import gym without having it installed.
 
-They are gymnasium's, but for `gym.wrappers.RecordVideo`: gymnasium's own records environments that
-return five values from a step.
+They are gymnasium's names, except `gym.wrappers.RecordVideo`, because gymnasium's class needs steps
+that return five values.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Which module of this package each published module became; `alias` imports by it.
+"""Maps the modules of IsaacGymEnvs to the modules of this package, for `alias`.
 
-Names are those below the published package: `utils.reformat` for `isaacgymenvs.utils.reformat`.
+Names are relative to the published package: `utils.reformat` means `isaacgymenvs.utils.reformat`.
 Modules that are in no table have the same name here.
 """
 
@@ -21,7 +21,7 @@ RENAMED: dict[str, str] = {
     "pbt.pbt": "isaacgymenvs_compat.pbt",
     "train": "isaacgymenvs_compat.train",
 }
-"""Modules that are called otherwise here."""
+"""Modules with other names here."""
 
 STAND_INS: dict[str, str] = {
     **dict.fromkeys(
@@ -30,7 +30,7 @@ STAND_INS: dict[str, str] = {
         " pbt=pbt_default pbt.policy_idx=0, 1, ... (docs/pbt.md)",
     )
 }
-"""Packages whose names can be imported, and why using one is an error."""
+"""Packages whose names can only be imported, with the reason for the error of using one."""
 
 ABSENT: dict[str, str] = {
     **dict.fromkeys(
@@ -52,16 +52,16 @@ ABSENT: dict[str, str] = {
     "tasks.amp.utils_amp.gym_util": "it drives Isaac Gym's viewer; docs/watching.md",
     "tasks.amp.utils_amp.logger": "use Python's logging",
 }
-"""Modules, with all below them, that have no counterpart, and why or what to use."""
+"""Modules without a counterpart (including their submodules), with a reason or a replacement."""
 
 
 def absent_because(module: str) -> str | None:
-    """Return why a published module (`tasks.factory.factory_base`) has no counterpart, or None."""
+    """Return why a module such as `tasks.factory.factory_base` has no counterpart, or None."""
     return _below(module, ABSENT)
 
 
 def stand_in_because(module: str) -> str | None:
-    """Return why the names of a published module can only be imported; None: that is not so."""
+    """Return why the names of a module can only be imported; None for any other module."""
     return _below(module, STAND_INS)
 
 

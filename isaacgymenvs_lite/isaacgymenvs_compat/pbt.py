@@ -19,7 +19,7 @@ from isaacgymenvs_lite.schema import plain
 
 
 def initial_pbt_check(cfg: DictConfig) -> None:
-    """Change the settings of a policy that begins, in the composed tree itself."""
+    """Apply the initial mutation of a policy to the composed tree, in place."""
     for path, value in first_mutation(plain(cfg), _seed(cfg)).items():
         OmegaConf.update(cfg, path, value)
 
@@ -47,7 +47,7 @@ class PbtAlgoObserver(AlgoObserver):
         self._observer.process_infos(infos, done_indices)
 
     def after_steps(self) -> None:
-        """Compare if it is time, and restart if the policy is replaced."""
+        """Compare after each interval, and restart if the policy is replaced."""
         try:
             self._observer.after_steps()
         except RestartRequest as request:

@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 
 def omegaconf_to_dict(d: DictConfig) -> dict[str, Any]:
-    """Return a configuration as plain dictionaries, interpolations resolved."""
+    """Return a configuration as plain dictionaries with resolved interpolations."""
     return OmegaConf.to_container(d, resolve=True)  # type: ignore[return-value]
 
 

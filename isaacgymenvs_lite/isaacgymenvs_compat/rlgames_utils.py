@@ -27,9 +27,9 @@ def multi_gpu_get_rank(multi_gpu: bool) -> int:
 
 
 def _with_or_without_seed(creator: Callable[..., Any]) -> Callable[..., Any]:
-    """Let a function be called as in IsaacGymEnvs' first releases, whose arguments had no seed.
+    """Allow calls as in IsaacGymEnvs' first releases, which had no argument `seed`.
 
-    Their scripts call `set_seed` before; what torch was seeded with is the seed then.
+    Their scripts call `set_seed` first, so torch's current seed is used.
     """
 
     @functools.wraps(creator)
@@ -58,17 +58,17 @@ def get_rlgames_env_creator(
     """Return a function that makes a task, for rl_games' `env_configurations.register`.
 
     Args:
-        seed: of the first process.
+        seed: seed of the first process.
         task_config: the section `task` of a composed tree, as dictionaries.
-        task_name: in the task map.
-        sim_device: where the physics runs.
-        rl_device: where `step` returns its tensors.
-        graphics_device_id: as `make`, like the other arguments.
-        headless: without a window.
-        multi_gpu: give each process a seed of its own.
-        post_create_hook: called after a task was made.
-        virtual_screen_capture: as `make`.
-        force_render: as `make`.
+        task_name: name in the task map.
+        sim_device: see `isaacgymenvs_lite.make`.
+        rl_device: see `isaacgymenvs_lite.make`.
+        graphics_device_id: see `isaacgymenvs_lite.make`.
+        headless: see `isaacgymenvs_lite.make`.
+        multi_gpu: whether each process gets its own seed.
+        post_create_hook: is called after a task was made.
+        virtual_screen_capture: see `isaacgymenvs_lite.make`.
+        force_render: see `isaacgymenvs_lite.make`.
     """
 
     def create_rlgpu_env(**kwargs: Any) -> VecTask:
@@ -94,9 +94,9 @@ class ObsSpec(TypedDict):
     """Describes an input of an agent.
 
     Attributes:
-        names: of the task's observations, in their order.
-        concat: give one tensor (N, sum of D) instead of a dictionary.
-        space_name: rl_games' name of its space: observation_space or state_space.
+        names: names of the task's observations, in their order.
+        concat: whether the input is one tensor (N, sum of D) instead of a dictionary.
+        space_name: rl_games' name of the space: observation_space or state_space.
     """
 
     names: Sequence[str]
@@ -105,10 +105,10 @@ class ObsSpec(TypedDict):
 
 
 class ComplexObsRLGPUEnv(RLGPUEnv):
-    """`RLGPUEnv` for networks with several inputs, of a task that observes several things.
+    """`RLGPUEnv` for networks with several inputs and tasks with several observations.
 
-    `obs_spec` has `obs`, and `states` for an asymmetric critic; the task's own number of
-    environments counts.
+    `obs_spec` has `obs`, and `states` for an asymmetric critic. The task decides the number of
+    environments.
     """
 
     def __init__(
@@ -161,7 +161,7 @@ class ComplexObsRLGPUEnv(RLGPUEnv):
         return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
     def _space_of(self, name: str) -> gymnasium.spaces.Box:
-        """Return the space (D,) of an observation, of a task that may have just two: plain ones."""
+        """Return the space (D,) of an observation; a task may have only `obs` and `states`."""
         space: Any = self.env.observation_space
         if isinstance(space, gymnasium.spaces.Dict):
             return space[name]  # type: ignore[return-value]

@@ -11,8 +11,8 @@ _HIDDEN_UNITS = (512, 1024)
 class RandomNetworkAdversary(nn.Module):
     """A random network that disturbs actions, after OpenAI et al. 2019 (arXiv:1910.07113, B.3).
 
-    Its outputs are probabilities of bins of each action. All environments share the weights;
-    each has its own mask of dropped units, which replaces a network for each.
+    Its outputs are probabilities of bins of each action. All environments share the weights, but
+    each environment has its own mask of dropped units.
     """
 
     def __init__(
@@ -25,13 +25,13 @@ class RandomNetworkAdversary(nn.Module):
         self.fc1 = nn.Linear(in_dims, first)
         self.fc1_1 = nn.Linear(first, first)
         self.fc2 = nn.Linear(first, second)
-        self.fc2_1 = nn.Linear(second, second)  # without effect, as published; checkpoints have it
+        self.fc2_1 = nn.Linear(second, second)  # unused, but checkpoints contain it
         self.fc3 = nn.Linear(second, out_dims * softmax_bins)
         self.to(device)
         self._refresh()
 
     def _refresh(self) -> None:
-        """Draw weights and masks anew."""
+        """Draw new weights and masks."""
         with torch.no_grad():
             for layer in (self.fc1, self.fc1_1, self.fc2, self.fc2_1, self.fc3):
                 nn.init.kaiming_uniform_(layer.weight)
@@ -39,7 +39,7 @@ class RandomNetworkAdversary(nn.Module):
         self.refresh_dropout_masks()
 
     def refresh_dropout_masks(self) -> None:
-        """Draw anew which units each environment keeps, a random share of each layer's."""
+        """Draw new masks: each environment keeps a random share of the units of each layer."""
         shares = torch.rand(2).tolist()
         self.dropout_masks1, self.dropout_masks2 = (
             torch.full((self.num_envs, units), share).bernoulli().to(self.device)

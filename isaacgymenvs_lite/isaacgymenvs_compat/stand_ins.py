@@ -1,8 +1,8 @@
-"""Modules whose names can be imported; using one raises an error that names the replacement.
+"""Modules whose names can be imported; using a name raises an error with the replacement.
 
-Scripts import names that they do not use on every run, such as those of launchers of processes;
-and names of the simulator are in signatures of functions that are never called. An import of such a
-name succeeds; calling it, or reading anything of it, raises an `UnavailableError`.
+Scripts import names that they do not always use, for example names of the simulator in signatures
+of functions. The import succeeds; calling the name, or reading an attribute of it, raises an
+`UnavailableError`.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from isaacgymenvs_lite.errors import UnavailableError
 class StandInModule(ModuleType):
     """A module that has every name; see the module docstring.
 
-    The reason, in errors, says why its names do nothing and what to use instead.
+    Errors contain `reason`, which says what to use instead.
     """
 
-    # What has a path is a package: modules below it are imported in the same way.
+    # A module with a path is a package, so that submodules can be imported in the same way.
     __path__: ClassVar[list[str]] = []
 
     def __init__(self, name: str, reason: str) -> None:
@@ -33,7 +33,7 @@ class StandInModule(ModuleType):
 
 
 class _StandIn(type):
-    """The class of stand-ins: classes, so that a script can inherit from them and annotate."""
+    """The metaclass of stand-ins, which are classes so that scripts can inherit from them."""
 
     _path: str
     _reason: str

@@ -1,7 +1,7 @@
 """The names of IsaacGymEnvs' `utils.torch_jit_utils`, and of `isaacgym.torch_utils`.
 
-Quaternions are xyzw, but for `quaternion_to_matrix` and `matrix_to_quaternion`, whose real part
-comes first. Rotations are those of `utils.rotations`; nothing is compiled.
+Quaternions are xyzw, except in `quaternion_to_matrix` and `matrix_to_quaternion`, whose real part
+comes first. The functions for rotations come from `utils.rotations`; nothing is compiled.
 """
 
 # ruff: noqa: F401  names that are imported only are published names
@@ -56,12 +56,12 @@ tf_vector = quat_apply
 
 
 def unscale_np(x: _Array, lower: _Array, upper: _Array) -> _Array:
-    """Return values (..., D) of numpy with lower (D,) as -1 and upper (D,) as 1."""
+    """Map numpy values (..., D) from [lower, upper], both (D,), to [-1, 1]."""
     return (2.0 * x - upper - lower) / (upper - lower)
 
 
 def tf_inverse(q: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the inverses of transforms: rotations q (..., 4), then translations t (..., 3)."""
+    """Return inverses of transforms, which rotate by q (..., 4) and then move by t (..., 3)."""
     q_inv = quat_conjugate(q)
     return q_inv, -quat_apply(q_inv, t)
 
@@ -72,17 +72,20 @@ def tf_apply(q: Tensor, t: Tensor, v: Tensor) -> Tensor:
 
 
 def tf_combine(q1: Tensor, t1: Tensor, q2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
-    """Return rotations (..., 4) and translations (..., 3) of transform 2 followed by 1."""
+    """Return rotations (..., 4) and translations (..., 3): first transform 2, then transform 1."""
     return quat_mul(q1, q2), tf_apply(q1, t1, t2)
 
 
 def local_to_world_space(pos_offset_local: Tensor, pose_global: Tensor) -> Tensor:
-    """Return points (n, 3) m of the frames of poses (n, 7), position and rotation, in the world."""
+    """Return points (n, 3) m in the frames of poses (n, 7) in the world frame.
+
+    A pose has a position and a rotation xyzw.
+    """
     return tf_apply(pose_global[:, 3:7], pose_global[:, :3], pos_offset_local)
 
 
 def normalise_quat_in_pose(pose: Tensor) -> Tensor:
-    """Return poses (n, 7) with rotations of unit length; there the argument is changed, too."""
+    """Return poses (n, 7) with rotations of unit length, without changing the argument."""
     return torch.cat((pose[:, :3], quat_unit(pose[:, 3:7])), dim=-1)
 
 
@@ -102,14 +105,14 @@ def to_torch(
     device: str | torch.device = "cpu",
     requires_grad: bool = False,
 ) -> Tensor:
-    """Return numbers as a tensor. The device there is cuda:0 by default."""
+    """Return numbers as a tensor. IsaacGymEnvs' default device is cuda:0."""
     return torch.tensor(x, dtype=dtype, device=device, requires_grad=requires_grad)
 
 
 def get_axis_params(
     value: float, axis_idx: int, x_value: float = 0.0, dtype: type = float, n_dims: int = 3
 ) -> list[float]:
-    """Return a list of zeros with `value` at the axis; `x_value` in front, unless the axis is."""
+    """Return a list of zeros with `value` at the axis, and `x_value` first unless the axis is 0."""
     params = [0.0] * n_dims
     params[0] = x_value
     params[axis_idx] = value
@@ -124,13 +127,13 @@ def torch_rand_float(
 
 
 def torch_random_dir_2(shape: tuple[int, int], device: str | torch.device) -> Tensor:
-    """Return random unit vectors (*shape, 2), the last dimension of shape (n, 1) replaced."""
+    """Return random unit vectors (n, 2) for a shape (n, 1)."""
     angle = torch_rand_float(-torch.pi, torch.pi, shape, device).squeeze(-1)
     return torch.stack((torch.cos(angle), torch.sin(angle)), dim=-1)
 
 
 def tensor_clamp(t: Tensor, min_t: Tensor, max_t: Tensor) -> Tensor:
-    """Return t within tensors of limits."""
+    """Return t, clamped to tensors of limits."""
     return t.clamp(min_t, max_t)
 
 
@@ -143,7 +146,7 @@ def copysign(a: float, b: Tensor) -> Tensor:
 
 
 def quat_axis(q: Tensor, axis: int = 0) -> Tensor:
-    """Return (n, 3) the axes that rotations (n, 4) make of the world's axis."""
+    """Return a world axis after rotations (n, 4), as (n, 3)."""
     basis = torch.zeros(len(q), 3, device=q.device, dtype=q.dtype)
     basis[:, axis] = 1.0
     return quat_rotate(q, basis)
@@ -157,19 +160,19 @@ def compute_heading_and_up(
     vec1: Tensor,
     up_idx: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Return how n torsos are turned and where they face.
+    """Return the orientations of n torsos and their headings relative to targets.
 
     Args:
-        torso_rotation: (n, 4).
-        inv_start_rot: (n, 4) inverse of the rotation at the start.
-        to_target: (n, 3) m.
+        torso_rotation: (n, 4) rotations in the world.
+        inv_start_rot: (n, 4) inverses of the initial rotations.
+        to_target: (n, 3) m, vectors to the targets.
         vec0: (n, 3) forward axis in the torso's frame.
         vec1: (n, 3) up axis in the torso's frame.
         up_idx: index of the world's vertical axis.
 
     Returns:
-        rotation since the start (n, 4), share of `vec1` that is up (n,), share of `vec0` that
-        points at the target (n,), `vec1` (n, 3) and `vec0` (n, 3) in the world.
+        rotations since the start (n, 4), vertical components of `vec1` (n,), components of `vec0`
+        towards the target (n,), and `vec1` (n, 3) and `vec0` (n, 3) in the world frame.
     """
     torso_quat = quat_mul(torso_rotation, inv_start_rot)
     up, heading = quat_rotate(torso_quat, vec1), quat_rotate(torso_quat, vec0)
@@ -180,14 +183,14 @@ def compute_heading_and_up(
 def compute_rot(
     torso_quat: Tensor, velocity: Tensor, ang_velocity: Tensor, targets: Tensor, positions: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Return how n torsos move in their frames, and how they are turned to a target.
+    """Return velocities of n torsos in their frames, their Euler angles, and angles to targets.
 
-    Arguments are in the world: rotations (n, 4), velocities (n, 3) m/s and rad/s, and positions
-    (n, 3) m.
+    All arguments are in the world frame: rotations (n, 4), velocities (n, 3) in m/s and rad/s, and
+    positions (n, 3) in m.
 
     Returns:
         both velocities (n, 3) in the torsos' frames, roll, pitch, yaw (n,) in [0, 2 pi), and the
-        angle to the target (n,), which takes the third coordinate for the second as IsaacGymEnvs.
+        angles to the targets (n,), computed from the third coordinate as in IsaacGymEnvs.
     """
     roll, pitch, yaw = get_euler_xyz(torso_quat)
     away = targets - positions

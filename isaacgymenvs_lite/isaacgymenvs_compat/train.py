@@ -11,7 +11,7 @@ from isaacgymenvs_lite.train import main
 
 
 def launch_rlg_hydra(cfg: DictConfig | None = None) -> None:
-    """Train or play as `sys.argv` or a composed tree describes."""
+    """Train or play with the settings in `sys.argv` or in a composed tree."""
     if cfg is None:
         main()
         return
@@ -21,10 +21,7 @@ def launch_rlg_hydra(cfg: DictConfig | None = None) -> None:
 
 
 def preprocess_train_config(cfg: DictConfig, config_dict: dict[str, Any]) -> dict[str, Any]:
-    """Complete a train section for rl_games from the root of the tree; it is changed and returned.
-
-    It gets the device, the name of the run and scaled units of the network.
-    """
+    """Add device, run name and scaled units to a train section, in place, and return it."""
     pbt = cfg.pbt
     config_dict["params"]["config"] |= {
         "device": cfg.rl_device,

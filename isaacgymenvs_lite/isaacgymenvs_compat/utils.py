@@ -23,21 +23,21 @@ log = logging.getLogger(__name__)
 
 
 def set_np_formatting() -> None:
-    """Let numpy print whole rows with two digits."""
+    """Make numpy print complete rows with two digits."""
     np.set_printoptions(edgeitems=30, linewidth=4000, precision=2, threshold=10000)
 
 
 def set_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) -> int:
-    """Seed Python, numpy and torch by seed and rank; return the seed. -1 draws one."""
+    """Seed Python, numpy and torch with seed + rank; return this seed. A seed of -1 is drawn."""
     resolved = resolve_seed(seed, torch_deterministic, rank)
     seed_everything(resolved, torch_deterministic)
     return resolved
 
 
 def retry(times: int, exceptions: type[Exception] | tuple[type[Exception], ...]) -> Callable:
-    """Return a decorator that calls a function again after exceptions, `times` times at most.
+    """Return a decorator that repeats a function after exceptions, at most `times` times.
 
-    Before the k-th repetition there is a pause of 2^(k - 1) s, of 30 s at most.
+    The pause before repetition k is 2^(k - 1) s, at most 30 s.
     """
 
     def decorate(function: Callable) -> Callable:
@@ -57,7 +57,7 @@ def retry(times: int, exceptions: type[Exception] | tuple[type[Exception], ...])
 
 
 def flatten_dict(d: Mapping[str, Any], prefix: str = "", separator: str = ".") -> dict[str, Any]:
-    """Return nested dictionaries as one, whose keys are paths: {"a": {"b": 1}} as {"a.b": 1}."""
+    """Return nested dictionaries as one dictionary of paths: {"a": {"b": 1}} as {"a.b": 1}."""
     flat: dict[str, Any] = {}
     for key, value in d.items():
         path = f"{prefix}{key}"
@@ -69,18 +69,18 @@ def flatten_dict(d: Mapping[str, Any], prefix: str = "", separator: str = ".") -
 
 
 def nested_dict_set_attr(d: dict[str, Any], key: str, val: Any) -> None:
-    """Set what a path such as "a.b" means in nested dictionaries, which exist but for the last."""
+    """Set the value at a path such as "a.b" in existing nested dictionaries."""
     parent, _, name = key.rpartition(".")
     (nested_dict_get_attr(d, parent) if parent else d)[name] = val
 
 
 def nested_dict_get_attr(d: Mapping[str, Any], key: str) -> Any:
-    """Return what a path such as "a.b" means in nested dictionaries."""
+    """Return the value at a path such as "a.b" in nested dictionaries."""
     return functools.reduce(lambda level, name: level[name], key.split("."), d)
 
 
 def ensure_dir_exists(path: str) -> str:
-    """Make a folder, and those above it, unless it exists; return its path."""
+    """Make a folder and its parents unless it exists; return its path."""
     Path(path).mkdir(parents=True, exist_ok=True)
     return path
 
@@ -89,7 +89,7 @@ safe_ensure_dir_exists = ensure_dir_exists
 
 
 def get_username() -> str:
-    """Return the user's name, or number where the system has no name for it."""
+    """Return the user's name, or the numeric ID if the system has no name."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):

@@ -1,1 +1,1 @@
-"""Replaces the package `tasks.amp.utils_amp` of IsaacGymEnvs; its modules are elsewhere here."""
+"""Replaces IsaacGymEnvs' package `tasks.amp.utils_amp`, whose modules have other names here."""

@@ -14,7 +14,7 @@ from isaacgymenvs_lite.utils.optional_packages import require
 
 
 class WandbAlgoObserver(WandbObserver):
-    """Opens a run of Weights & Biases when the agent begins, under the agent's experiment name.
+    """Opens a run of Weights & Biases with the agent's experiment name.
 
     The composed tree has the keys wandb_project, _entity, _group, _name, ...
     """

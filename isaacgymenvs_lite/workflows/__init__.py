@@ -1,5 +1,5 @@
-"""Training and playing with other RL libraries, from the command line.
+"""Trains and plays agents of other RL libraries from the command line.
 
-`__main__` reads the command line, `training` is the story, and `library` has what both need of a
-library.
+`__main__` reads the command line, `training` trains and plays, and `library` defines the agents and
+reads their files.
 """

@@ -4,9 +4,9 @@
     isaacgymenvs-lite workflows sb3 play task=Ant
     python -m isaacgymenvs_lite.workflows.sb3.train --task Ant --num_envs 64
 
-Options of Isaac Lab's scripts stand for words. A word's key belongs to the command, to the agent
-file (`agent.`) or to the task, where it means the same as for train.py; the option --help after
-`sb3 train` lists the keys.
+A key belongs to the command, to the agent file (`agent.`) or to the task, where it means the same
+as for train.py. The option --help after `sb3 train` lists the keys. Options of Isaac Lab's scripts
+stand for keys.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _TASK_KEYS = {
     *("capture_video", "capture_video_freq", "capture_video_len", "capture_video_envs"),
     *("physics_engine", "solver_type", "num_subscenes", "graphics_device_id"),
 }
-# Isaac Lab's options -> the words that they stand for; {} is the option's value.
+# Maps Isaac Lab's options to the words that they stand for; {} is the option's value.
 _OPTIONS = {
     "task": "task={}",
     "num_envs": "num_envs={}",
@@ -69,10 +69,10 @@ _OPTIONS_OF = {
     },
     "play": {"use_last_checkpoint": f"checkpoint={LAST}", "real-time": "real_time=True"},
 }
-# Control steps between two videos of --video; a play is recorded once.
+# Control steps between two videos of --video. A play is recorded once.
 _VIDEO_EVERY = {"train": 2000, "play": 2**53}
-# Isaac Lab's options that have no effect: pictures need no switch, infos are complete, there is no
-# Kit.
+# These options of Isaac Lab have no effect: pictures need no switch, infos are always complete, and
+# there is no Kit.
 _IDLE_FLAGS = (
     *("enable_cameras", "keep_all_info", "disable_fabric", "export_io_descriptors"),
     *("verbose", "info"),
@@ -107,7 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given not in choices:
             sys.stderr.write(f"error: {unknown(what, given, choices)}\n")
             return EXIT_USER_ERROR
-    # rsl_rl imports GitPython, whose import fails where there is no git.
+    # rsl_rl imports GitPython, whose import fails if git is not installed.
     os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
     parser = make_parser(name, verb)
     args = parser.parse_intermixed_args(words[2:])
@@ -128,13 +128,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def read_command(
     settings: type[Settings], args: argparse.Namespace
 ) -> tuple[Settings, list[str], list[str]]:
-    """Sort the words of a command line by what their keys belong to; words win over options.
+    """Sort the words of a command line; words take precedence over Isaac Lab's options.
 
     Returns:
         The command's own keys, the words for the task, and the words for the agent file.
 
     Raises:
-        ConfigError: a key that has no effect here, or a value that cannot be used.
+        ConfigError: a key has no effect here, or a value cannot be used.
     """
     known = keys_of(settings)
     own_words, task_words, agent_words = list[str](), list[str](), list[str]()
@@ -150,7 +150,7 @@ def read_command(
         else:
             keys = ", ".join(sorted(known))
             raise ConfigError(
-                f"{word}: is no setting of another library's agent"
+                f"{word}: this setting does not apply to another library's agent"
                 f"{suggest(path.partition('.')[0], {*known, *_TASK_KEYS})}; expected {keys},"
                 f" {PREFIX}key=value, or a key of the task such as task.env.numEnvs"
             )
@@ -160,7 +160,7 @@ def read_command(
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reports a mistake in one line."""
+    """An argument parser that reports a mistake in one line."""
 
     def error(self, message: str) -> NoReturn:
         if message.startswith("unrecognized arguments:"):
@@ -194,7 +194,7 @@ def make_parser(library: str, verb: str) -> argparse.ArgumentParser:
         add(f"--{name}", action="store_true", help=argparse.SUPPRESS)
     for name in _IDLE_VALUES:
         add(f"--{name}", help=argparse.SUPPRESS)
-    # skrl's scripts have these two; there is one choice of each.
+    # skrl's scripts have these two options, of which only one value is supported.
     add("--ml_framework", choices=("torch",), help=argparse.SUPPRESS)
     add("--algorithm", type=str.upper, choices=("PPO",), help=argparse.SUPPRESS)
     return parser

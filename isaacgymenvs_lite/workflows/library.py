@@ -1,8 +1,9 @@
-"""What the workflows need of an RL library, and how they read its agent files and checkpoints.
+"""Defines the interface of an RL library's agent, and reads agent files and checkpoints.
 
-An agent file, cfg/<library>/<Task>.yaml, holds arguments of the library's classes by section, and
-a few keys of the workflow. It cannot name code: the workflow chooses the classes. The libraries'
-own `load` functions unpickle whatever a file holds; here only tensors are read.
+An agent file, cfg/<library>/<Task>.yaml, contains arguments of the library's classes by section,
+and a few keys of the workflow. It cannot name code, because the workflow chooses the classes. Only
+tensors are read from checkpoints, unlike by the libraries' own `load` functions, which unpickle
+everything.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ from isaacgymenvs_lite.schema import keys_of, plain, read_section, setting
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 
 PREFIX = "agent."
-"""Start of a key of the agent file on the command line."""
+"""Prefix of the agent file's keys on the command line."""
 
-# Isaac Lab's scripts name a task's own agent file like this: sb3_cfg_entry_point.
+# Isaac Lab's scripts name a task's agent file sb3_cfg_entry_point.
 _ENTRY_POINT = "_cfg_entry_point"
 _ACTIVATIONS: dict[str, type[nn.Module]] = {
     "elu": nn.ELU,
@@ -44,29 +45,29 @@ _ACTIVATIONS: dict[str, type[nn.Module]] = {
 
 
 LIBRARIES = {"sb3": "stable_baselines3", "skrl": "skrl", "rsl_rl": "rsl_rl"}
-"""Name of a library's folders in cfg/, logs/ and here -> its package."""
+"""Maps the name of a library's folders in cfg/, logs/ and here to its package."""
 
 
 class Agent(ABC):
-    """An agent of a library with its environment; made from task, agent file, device and seed."""
+    """An agent of a library with its environment, made from task, agent file, device and seed."""
 
     env: Any
-    """The environment in the library's own form, with all wrappers."""
+    """The library's environment with all wrappers."""
     stepper: AutoresetTask
     networks: Sequence[nn.Module]
     minibatch_rows: int
-    """Rows that the networks are evaluated for in a gradient step."""
+    """Number of rows in a gradient step."""
 
     @abstractmethod
     def learn(self, folder: Path, log_interval: int | None) -> None:
-        """Train; checkpoints and TensorBoard's files go into `folder`.
+        """Train, and write checkpoints and TensorBoard's files into `folder`.
 
-        A log entry is written every `log_interval` frames; None is the library's own interval.
+        A log entry is written every `log_interval` frames; None means the library's own interval.
         """
 
     @abstractmethod
     def save(self, folder: Path) -> Path:
-        """Write a checkpoint below `folder`, with a name as in `learn`; return the file."""
+        """Write a checkpoint below `folder`, named as in `learn`; return the file."""
 
     @abstractmethod
     def load(self, checkpoint: Path) -> None:
@@ -74,7 +75,7 @@ class Agent(ABC):
 
     @abstractmethod
     def policy(self) -> Callable[[Any], Any]:
-        """Stop learning, and return a function: observations of `env` -> mean actions."""
+        """Stop learning; return a function from observations of `env` to mean actions."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +83,7 @@ class SeedSettings:
     """The key of an agent file that is read before the agent is made."""
 
     seed: int = setting(42)
-    """Unless the command line gives one."""
+    """Default of the command line's seed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +91,7 @@ class AgentSettings(SeedSettings):
     """The keys that all agent files have."""
 
     max_iterations: int = setting(minimum=1)
-    """Rollouts, each with the updates that follow it."""
+    """Number of rollouts; updates follow each rollout."""
     checkpoint_interval: int = setting(minimum=1)
     """Iterations."""
 
@@ -104,11 +105,11 @@ def load_agent_file(
     """Return the content of an agent file.
 
     Args:
-        library: folder in cfg/.
-        task: name of the task, whose file is read; default.yaml if it has none.
-        given: a path, or the name of a file in the folder, to read instead; '' and Isaac Lab's
+        library: name of the library's folder in cfg/.
+        task: name of the task. Its file is read, or default.yaml if it has no file.
+        given: the path of another file, or its name in the folder; '' and Isaac Lab's
             `sb3_cfg_entry_point` mean the task's file.
-        overrides: `agent.key.below=value` each; the agent checks the keys.
+        overrides: words such as `agent.key.below=value`; the agent checks the keys.
     """
     folder = cfg_dir() / library
     if not given or given.endswith(_ENTRY_POINT):
@@ -130,7 +131,11 @@ def load_agent_file(
 
 
 def read_agent(cls: type[Settings], content: Mapping[str, Any]) -> Settings:
-    """Return the content of an agent file as settings; any unknown key is a `ConfigError`."""
+    """Return the content of an agent file as settings.
+
+    Raises:
+        ConfigError: a key is unknown, or a value is wrong.
+    """
     for key in content:
         if key not in keys_of(cls):
             raise ConfigError(unknown("key of agent", str(key), keys_of(cls)))
@@ -143,14 +148,14 @@ def check_arguments(
     where: str,
     reserved: Iterable[str] = (),
 ) -> None:
-    """Check that a section holds arguments of a function or class, of the kind of its defaults.
+    """Check that a section contains arguments of a function, with the types of its defaults.
 
-    A whole number must be at least 1, or at least its default if that is less.
+    A whole number must be at least 1, or at least its default if the default is smaller.
 
     Args:
-        function: what will be called with them.
+        function: the function or class.
         arguments: the section; a callable counts as a schedule of a number.
-        where: path of the section, `agent.ppo`.
+        where: path of the section, for example `agent.ppo`.
         reserved: arguments that could name code or files.
     """
     parameters = inspect.signature(function).parameters
@@ -175,7 +180,11 @@ def check_arguments(
 
 
 def activation_class(name: str) -> type[nn.Module]:
-    """Return the class of an activation, else raise a `ConfigError`."""
+    """Return the class of an activation.
+
+    Raises:
+        ConfigError: the name is unknown.
+    """
     if name not in _ACTIVATIONS:
         raise ConfigError(unknown("activation", name, _ACTIVATIONS))
     return _ACTIVATIONS[name]
@@ -183,12 +192,12 @@ def activation_class(name: str) -> type[nn.Module]:
 
 @contextmanager
 def loading(file: str | Path, library: str) -> Iterator[None]:
-    """Report whatever goes wrong while a checkpoint is loaded as a `CheckpointError`."""
+    """Report any error while a checkpoint is loaded as a `CheckpointError`."""
     try:
         yield
     except UserError:
         raise
-    except Exception as error:  # on arbitrary bytes the readers may raise anything
+    except Exception as error:  # the readers raise many types of errors for damaged files
         fits = isinstance(error, (KeyError, OSError, RuntimeError, TypeError, ValueError))
         reason = one_line(error)[:160] if fits else "damaged, or with more than tensors in it"
         raise CheckpointError(

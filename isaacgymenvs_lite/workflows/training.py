@@ -1,7 +1,4 @@
-"""Training and playing an agent of any library, from the command line to the last checkpoint.
-
-`train` and `play` are the story. They use a library through `library.Agent` only.
-"""
+"""Trains and plays an agent of any library, which implements `library.Agent`."""
 
 from __future__ import annotations
 
@@ -39,35 +36,35 @@ from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 log = logging.getLogger(__name__)
 
 LAST = "last"
-"""`checkpoint=last`: the newest checkpoint of the task's trainings."""
+"""`checkpoint=last` means the newest checkpoint of the task's trainings."""
 _AGENT_FILE = "params/agent.yaml"
 _CHECKPOINTS = (".zip", ".pt")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CommandSettings:
-    """The keys that training and playing have in common."""
+    """The common keys of `train` and `play`."""
 
     task: str = setting()
     """Name or path of a task file."""
     agent: str = setting("")
     checkpoint: str = setting("")
-    """File, or `last`."""
+    """A file, or `last`."""
     logs: str = setting("logs")
 
     @property
     def name(self) -> str:
-        """The name that agent files and log folders have: `Ant` also for `my/Ant.yaml`."""
+        """The name of agent files and log folders, for example `Ant` for `my/Ant.yaml`."""
         return Path(self.task).stem
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainSettings(CommandSettings):
-    """The keys of `train`; a checkpoint is the start of the training."""
+    """The keys of `train`; the training starts from the checkpoint."""
 
     max_iterations: int | None = setting(None, minimum=1)
     log_interval: int | None = setting(None, minimum=1)
-    """Frames; None: the library's own."""
+    """Frames between log entries; None means the library's own interval."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +77,7 @@ class PlaySettings(CommandSettings):
 def train(
     library: str, settings: TrainSettings, task_words: list[str], agent_words: list[str]
 ) -> None:
-    """Train as a command line says; Ctrl-C saves a last checkpoint."""
+    """Train with the settings of a command line; Ctrl-C saves a last checkpoint."""
     checkpoint = find_checkpoint(library, settings) if settings.checkpoint else None
     content = load_agent_file(library, settings.name, settings.agent, agent_words)
     if settings.max_iterations is not None:
@@ -145,7 +142,7 @@ def _date() -> str:
 
 
 def _interrupt() -> None:
-    """End as Ctrl-C does, because the window was closed."""
+    """End the play like Ctrl-C, because the window was closed."""
     raise KeyboardInterrupt
 
 
@@ -164,13 +161,13 @@ def _session(
     Args:
         library: name of the library.
         name: name or path of a task file.
-        words: for the task, as on train.py's command line.
-        content: of the agent file.
-        checkpoint: to load.
+        words: settings of the task as on train.py's command line.
+        content: content of the agent file.
+        checkpoint: checkpoint to load, or None.
         plays: whether the agent is played, not trained.
 
     Yields:
-        The agent, the task's configuration as plain values, and the viewers, not started yet.
+        The agent, the task's configuration as plain values, and the viewers before their start.
     """
     agent_seed = read_keys(SeedSettings, content, "agent").seed
     cfg = compose_task(name, [f"seed={agent_seed}", *words])
@@ -204,7 +201,11 @@ def _session(
 def _make_agent(
     library: str, task: VecTask, content: dict[str, Any], device: str, seed: int
 ) -> Agent:
-    """Import the library and make an agent; a value that it refuses is a `ConfigError`."""
+    """Import the library and make an agent.
+
+    Raises:
+        ConfigError: the library refuses a value.
+    """
     module = importlib.import_module(f"isaacgymenvs_lite.workflows.{library}.agent")
     try:
         return module.Agent(task, content, device, seed)
@@ -230,7 +231,7 @@ def _write_params(folder: Path, files: dict[str, dict[str, Any]]) -> None:
 
 
 def find_checkpoint(library: str, settings: CommandSettings) -> Path:
-    """Return the checkpoint that the command line names, else the task's newest checkpoint."""
+    """Return the command line's checkpoint, or the task's newest checkpoint."""
     if settings.checkpoint not in ("", LAST):
         checkpoint = user_path(settings.checkpoint)
         if not checkpoint.is_file():
@@ -250,12 +251,13 @@ def find_checkpoint(library: str, settings: CommandSettings) -> Path:
 def play_episodes(
     stepper: AutoresetTask, step: Callable[[], None]
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Step until every environment has ended an episode, and return the first one of each.
+    """Step until every environment has ended an episode; measure the first episode of each.
 
-    All episodes that end within a fixed time would contain too many short ones.
+    The episodes that end within a fixed time would be too short on average.
 
     Returns:
-        (N,) sums of rewards, (N,) control steps, and (N,) bool, ended by the time limit.
+        (N,) sums of rewards, (N,) control steps, and (N,) bool, whether the time limit ended the
+        episode.
     """
     returns = torch.zeros(stepper.num_envs, dtype=torch.float64)
     lengths = torch.zeros(stepper.num_envs, dtype=torch.int64)

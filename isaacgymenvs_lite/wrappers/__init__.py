@@ -1,11 +1,11 @@
-"""Shape and dtype adapters between our tasks and RL libraries, nothing else.
+"""Wrappers that give our tasks the interfaces of other RL libraries.
 
     from isaacgymenvs_lite.wrappers import Sb3VecEnvWrapper
 
     env = Sb3VecEnvWrapper(isaacgymenvs_lite.make(task="Ant", num_envs=64))
 
-An adapter goes around the task itself; wrappers of the library go around the adapter. An adapter's
-module is imported when its name is first used, as the libraries are optional.
+Our wrapper takes the task itself; wrappers of the library take our wrapper. The module of a wrapper
+is imported when its name is first used, because the libraries are optional.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ __all__ = [
     "SkrlVecEnvWrapper",
 ]
 
-# Name -> module here, and the optional package that it needs.
+# Maps each name to its module here and to the optional package that it needs.
 _PLACES: dict[str, tuple[str, str | None]] = {
     "GymnasiumEnv": ("gymnasium_env", None),
     "GymnasiumVectorEnv": ("gymnasium_env", None),
@@ -48,7 +48,11 @@ _PLACES: dict[str, tuple[str, str | None]] = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import an adapter; without its library a `MissingPackageError` is raised."""
+    """Import a wrapper.
+
+    Raises:
+        MissingPackageError: its library is not installed.
+    """
     if name not in _PLACES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     module, package = _PLACES[name]

@@ -1,8 +1,8 @@
-"""AutoresetTask: one reset convention for all tasks, which the adapters to other libraries use.
+"""Gives all tasks one reset convention, which the wrappers for other libraries use.
 
-Tasks start the next episode at different times (see `VecTask`). Here all of them start it within
-the step that ended the one before. A step returns the last observation of an episode and the
-first of the next, and separates failures from time limits.
+Tasks start the next episode at different times (see `VecTask`). Here the step that ends an episode
+also starts the next episode. It returns the last observation of the ended episode and the first
+observation of the next, and distinguishes failures from time limits.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.random_stream import RandomStream
 
 Observations = dict[str, Tensor]
-"""{"obs": (N, F)[, "states": (N, S)]}; states are for asymmetric critics."""
+"""{"obs": (N, F)} or {"obs": (N, F), "states": (N, S)}; states are for asymmetric critics."""
 RENDER_MODE = "rgb_array"
 
 
@@ -33,10 +33,10 @@ class EndedEpisodes:
     """The n episodes that ended with a step.
 
     Attributes:
-        env_ids: (n,) int64, their environments.
+        env_ids: (n,) int64 environments of the episodes.
         returns: (n,) float64 sums of rewards.
         lengths: (n,) int64 control steps.
-        time_s: since the task was wrapped.
+        time_s: time since the task was wrapped.
     """
 
     env_ids: Tensor
@@ -47,20 +47,21 @@ class EndedEpisodes:
 
 @dataclass(frozen=True)
 class Transition:
-    """The results of a step of N environments; their tensors are not written to later.
+    """The results of a step of N environments; later steps do not change these tensors.
 
     Attributes:
-        observations: of the running episodes, the first ones where an episode ended.
-        final_observations: of the step's end, before episodes started; only the rows of ended
-            episodes count. None if none ended.
+        observations: observations of the running episodes; where an episode ended, the first
+            observation of the next episode.
+        final_observations: observations before the next episodes started. Only the rows of ended
+            episodes have a meaning. None if no episode ended.
         rewards: (N,) float32.
-        terminated: (N,) bool, ended by a failure.
-        truncated: (N,) bool, ended by the time limit and nothing else, or cut off because the
-            simulation diverged; the final observation is then the last good one.
-        per_env: infos with a row for each environment, (N, ...), at the step's end: `amp_obs` of
-            an ended episode is its last. `diverged` (N,) bool only where a simulation did.
-        scalars: infos about all of them, by name: `episode/rew_torque`.
-        episodes: those that ended.
+        terminated: (N,) bool, whether a failure ended the episode.
+        truncated: (N,) bool, whether only the time limit ended the episode, or the simulation
+            diverged; after a divergence the final observation is the last good observation.
+        per_env: infos with a row for each environment, (N, ...), before the next episodes started.
+            `diverged` (N,) bool exists only if a simulation diverged.
+        scalars: infos about all environments, by name: `episode/rew_torque`.
+        episodes: the episodes that ended.
     """
 
     observations: Observations
@@ -74,7 +75,7 @@ class Transition:
 
     @property
     def ended(self) -> Tensor:
-        """(N,) bool, ended at all."""
+        """(N,) bool, whether the episode ended for any reason."""
         return self.terminated | self.truncated
 
 
@@ -82,20 +83,20 @@ class AutoresetTask:
     """Steps and draws a task; see the module docstring.
 
     Args:
-        task: what `isaacgymenvs_lite.make` returns.
-        adapter: name of the adapter, for errors.
-        random: random numbers of the task.
+        task: a task of `isaacgymenvs_lite.make`.
+        adapter: name of the wrapper, for errors.
+        random: random stream of the task.
         render_mode: `rgb_array`, or None for no pictures.
-        width: pixels of a picture.
-        height: pixels.
+        width: width of a picture in pixels.
+        height: height of a picture in pixels.
 
     Attributes:
-        last_step: the results of the last step; None before the first.
-        num_steps: control steps made so far.
+        last_step: the results of the last step; None before the first step.
+        num_steps: number of control steps so far.
 
     Raises:
         WrapperError: `task` is something else, for example a wrapped task.
-        ConfigError: another render mode.
+        ConfigError: the render mode is unknown.
     """
 
     def __init__(
@@ -117,23 +118,23 @@ class AutoresetTask:
         self._camera = TaskCamera(self.task, width, height)
         self._random = random or RandomStream()
         num_envs, device = self.task.num_envs, self.task.rl_device
-        # In float64: a thousand float32 rewards would lose digits.
+        # float32 sums of a thousand rewards would lose digits.
         self._returns = torch.zeros(num_envs, dtype=torch.float64, device=device)
         self._lengths = torch.zeros(num_envs, dtype=torch.int64, device=device)
         self._start_s = time.perf_counter()
 
     @property
     def num_envs(self) -> int:
-        """N."""
+        """Number of environments N."""
         return self.task.num_envs
 
     @property
     def render_fps(self) -> int:
-        """Pictures per second that show the task in real time, a whole number."""
+        """Whole number of pictures per second in real time."""
         return max(1, round(1.0 / self.task.simulation.dt))
 
     def reset(self, seed: int | None = None) -> Observations:
-        """Start new episodes; a seed determines all later random numbers of the task."""
+        """Start new episodes; a seed determines all later random values of the task."""
         if seed is not None:
             self._random.seed(seed)
         self._returns.zero_()
@@ -182,7 +183,7 @@ class AutoresetTask:
         return self._camera.draw(range(self.num_envs))
 
     def render(self) -> list[Image] | None:
-        """Return what `draw` returns; None without a render mode."""
+        """Return the result of `draw`; None without a render mode."""
         return self.draw() if self.render_mode else None
 
     def close(self) -> None:
@@ -205,16 +206,20 @@ class AutoresetTask:
 
     @contextmanager
     def _stepping(self) -> Iterator[None]:
-        """Use the environment's random numbers; make tensors that may be written to later.
+        """Use the environment's random stream, and leave inference mode.
 
-        rsl_rl steps in inference mode, outside of which such tensors could not be changed.
+        rsl_rl steps in inference mode, whose tensors cannot be changed outside of it.
         """
         with self._random, torch.inference_mode(False), torch.no_grad():
             yield
 
 
 def checked_task(env: Any, adapter: str) -> VecTask:
-    """Return `env` if it is a task without a wrapper, else raise a `WrapperError`."""
+    """Return `env` if it is a task without a wrapper.
+
+    Raises:
+        WrapperError: it is something else.
+    """
     if isinstance(env, VecTask):
         return env
     raise WrapperError(
@@ -226,9 +231,9 @@ def checked_task(env: Any, adapter: str) -> VecTask:
 def _sorted_infos(
     infos: Mapping[str, Any], num_envs: int
 ) -> tuple[dict[str, Tensor], dict[str, float]]:
-    """Split infos into those with a row for each environment and scalars.
+    """Split infos into infos with a row for each environment and scalars.
 
-    Without `time_outs`, and without `diverged` where it says nothing.
+    `time_outs` is left out, and so is `diverged` unless a simulation diverged.
     """
     per_env: dict[str, Tensor] = {}
     scalars: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""Tasks as environments of Gymnasium: numpy in and out.
+"""Makes environments of Gymnasium from tasks, with numpy arrays.
 
 `gymnasium_ids` registers `make_vector_env` and `make_single_env`, so that
 
@@ -38,24 +38,27 @@ _Env = TypeVar("_Env", "GymnasiumVectorEnv", "GymnasiumEnv")
 
 
 def make_vector_env(task: str, num_envs: int, **keywords: Any) -> GymnasiumVectorEnv:
-    """Make what `gymnasium.make_vec("IsaacGymEnvsLite/<Task>-v0", num_envs=N, ...)` returns.
+    """Make the environment of `gymnasium.make_vec("IsaacGymEnvsLite/<Task>-v0", num_envs=N, ...)`.
 
     Args:
         task: name of a task file.
-        num_envs: N.
+        num_envs: number of environments N.
         keywords: render_mode (`rgb_array` or None), width and height of a picture in pixels,
-            overrides (words of train.py's command line), config_dir (a folder with more task files,
-            below task/), and keys of cfg/config.yaml: `num_threads=2`. `seed` gives the task its
-            own sequence of random numbers from the start, as `reset(seed=...)` does.
+            overrides (settings as on train.py's command line), config_dir (a folder with more task
+            files below task/), and keys of cfg/config.yaml such as `num_threads=2`. `seed` gives
+            the task its own random sequence from the start, like `reset(seed=...)`.
 
     Raises:
-        ConfigError: an unknown key or a value that cannot be used.
+        ConfigError: a key is unknown, or a value cannot be used.
     """
     return _make(GymnasiumVectorEnv, task, num_envs, **keywords)
 
 
 def make_single_env(task: str, **keywords: Any) -> GymnasiumEnv:
-    """Make `gymnasium.make("IsaacGymEnvsLite/<Task>-v0", ...)`; keywords as `make_vector_env`."""
+    """Make the environment of `gymnasium.make("IsaacGymEnvsLite/<Task>-v0", ...)`.
+
+    See `make_vector_env` for the keywords.
+    """
     return _make(GymnasiumEnv, task, 1, **keywords)
 
 
@@ -83,15 +86,15 @@ def make_task(
     config_dir: str | Path | None = None,
     cfg: DictConfig | None = None,
 ) -> tuple[VecTask, RandomStream]:
-    """Return a task and its random numbers; see `make_vector_env`.
+    """Return a task and its random stream; see `make_vector_env`.
 
     Args:
         task: name of a task file.
-        num_envs: '' = the task file's own.
+        num_envs: number of environments; '' means the task file's number.
         keys: keys of cfg/config.yaml.
-        overrides: words of the command line.
+        overrides: settings as on the command line.
         config_dir: a folder with more task files.
-        cfg: a composed tree to use in place of all these.
+        cfg: a composed tree, which replaces all other arguments.
     """
     if cfg is None:
         number = f"num_envs={num_envs}" if num_envs != "" else "num_envs=''"
@@ -117,14 +120,15 @@ def make_task(
 class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
     """N environments of a task; `gymnasium.make_vec("IsaacGymEnvsLite/<Task>-v0")` makes one.
 
-    A step that ends an episode returns the first observation of the next one
-    (`AutoresetMode.SAME_STEP`). Row i of `infos["final_obs"]` then holds the last observation of
-    environment i's ended episode, and `infos["final_info"]` its last infos.
+    A step that ends an episode returns the first observation of the next episode
+    (`AutoresetMode.SAME_STEP`). Row i of `infos["final_obs"]` is then the last observation of the
+    ended episode of environment i, and `infos["final_info"]` has its last infos.
 
     `infos["states"]` (N, S), for asymmetric critics, belong to the returned observations. All other
-    infos, such as `amp_obs` (N, F), belong to the step: an ended episode has its last ones.
+    infos, for example `amp_obs` (N, F), belong to the step, so that an ended episode has its last
+    infos.
 
-    Arguments and errors are those of `AutoresetTask`, which is the attribute `stepper`.
+    See `AutoresetTask` for arguments and errors; the attribute `stepper` is one.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  as Gymnasium declares it
@@ -158,8 +162,8 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         """Start new episodes and return observations (N, F) and infos.
 
         Args:
-            seed: seeds the one sequence that all environments of the task draw from.
-            options: `reset_mask`, (N,) bool with at least one True: start only those.
+            seed: seed of the random sequence that all environments of the task share.
+            options: `reset_mask`, (N,) bool with at least one True, limits the environments.
         """
         super().reset(seed=seed)
         mask = (options or {}).get("reset_mask")
@@ -236,10 +240,10 @@ class ShowsFirst:
 class GymnasiumEnv(ShowsFirst, gymnasium.Env[Floats, Floats]):
     """One environment; `gymnasium.make("IsaacGymEnvsLite/<Task>-v0")` makes one.
 
-    The step that ends an episode returns its last observation, and `reset` starts the next. `info`
-    holds `states` (S,) for asymmetric critics and the task's other infos, `amp_obs` for example.
+    The step that ends an episode returns its last observation, and `reset` starts the next episode.
+    `info` has `states` (S,) for asymmetric critics and the task's other infos.
 
-    Arguments and errors are those of `AutoresetTask`; the task has one environment.
+    See `AutoresetTask` for arguments and errors; the task has one environment.
     """
 
     metadata: dict[str, Any] = {"render_modes": [RENDER_MODE]}  # noqa: RUF012  as Gymnasium
@@ -297,7 +301,7 @@ def as_numpy(tensor: torch.Tensor) -> npt.NDArray[Any]:
 def _masked(
     per_env: dict[str, torch.Tensor], scalars: dict[str, float], mask: Bools
 ) -> dict[str, Any]:
-    """Return infos in Gymnasium's form: an array of N rows by name, and its mask by `_<name>`."""
+    """Return infos in Gymnasium's form: arrays of N rows by name, and masks by `_<name>`."""
     infos: dict[str, Any] = {}
     for name, rows in per_env.items():
         infos[name] = as_numpy(rows).copy()
@@ -309,5 +313,5 @@ def _masked(
 
 
 def _row(rows: torch.Tensor) -> Any:
-    """Return the only row of (1, ...): an array, or a number."""
+    """Return the only row of (1, ...) as an array or a number."""
     return as_numpy(rows)[0].copy()

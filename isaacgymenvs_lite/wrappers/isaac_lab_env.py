@@ -1,4 +1,4 @@
-"""Tasks as Isaac Lab's environments: `gymnasium.make("Isaac-Cartpole-v0", cfg=cfg)`."""
+"""Makes environments like Isaac Lab's: `gymnasium.make("Isaac-Cartpole-v0", cfg=cfg)`."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def make_isaac_lab_env(
     num_envs: int | str = "",
     **keys: Any,
 ) -> IsaacLabEnv:
-    """Make what `gymnasium.make("Isaac-Cartpole-v0", ...)` returns.
+    """Make the environment of `gymnasium.make("Isaac-Cartpole-v0", ...)`.
 
     Args:
         task: name of a task file.
-        cfg: a tree of `isaacgymenvs_lite.config.compose.compose_task`, in place of all keys.
+        cfg: a tree of `isaacgymenvs_lite.config.compose.compose_task`, which replaces all keys.
         render_mode: `rgb_array` or None.
-        num_envs: N; '' = the task file's own.
-        keys: keys of cfg/config.yaml: `seed=1`.
+        num_envs: number of environments N; '' means the task file's number.
+        keys: keys of cfg/config.yaml such as `seed=1`.
 
     Raises:
-        ConfigError: `cfg` is no tree of this project, an unknown key, or a wrong value.
+        ConfigError: `cfg` is not a tree of this project, a key is unknown, or a value is wrong.
     """
     if cfg is not None and not (isinstance(cfg, DictConfig) and "task" in cfg):
         raise ConfigError(
@@ -45,11 +45,11 @@ def make_isaac_lab_env(
 
 
 class IsaacLabEnv(ShowsFirst, gymnasium.Env[dict[str, Tensor], Tensor]):
-    """N environments of a task in one, as Isaac Lab's: batches of tensors.
+    """N environments of a task in one object with batches of tensors, as in Isaac Lab.
 
-    A step that ends an episode returns the first observation of the next one. Observations are
-    {"policy": (N, F)}, with {"critic": (N, S)} for an asymmetric critic. `step_dt` is the control
-    step in s, `max_episode_length` counts control steps.
+    A step that ends an episode returns the first observation of the next episode. Observations are
+    {"policy": (N, F)}, and {"critic": (N, S)} for an asymmetric critic. `step_dt` is the control
+    step in s; `max_episode_length` counts control steps.
     """
 
     metadata: dict[str, Any] = {"render_modes": [None, RENDER_MODE]}  # noqa: RUF012  as Gymnasium
@@ -72,7 +72,7 @@ class IsaacLabEnv(ShowsFirst, gymnasium.Env[dict[str, Tensor], Tensor]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Start new episodes in all environments; `options` are not read."""
+        """Start new episodes in all environments; `options` have no effect."""
         super().reset(seed=seed)
         return _renamed(self.stepper.reset(seed)), {}
 
@@ -80,8 +80,8 @@ class IsaacLabEnv(ShowsFirst, gymnasium.Env[dict[str, Tensor], Tensor]):
         """Advance by one control step with actions (N, A).
 
         Returns:
-            observations, rewards (N,), terminated (N,), truncated (N,), and infos: rows for each
-            environment by name, and `log` for all together.
+            observations, rewards (N,), terminated (N,), truncated (N,), and infos. Infos have rows
+            for each environment by name; `log` has values for all environments.
         """
         step = self.stepper.step(torch.as_tensor(action, dtype=torch.float32))
         infos = {**step.per_env, "log": step.scalars}

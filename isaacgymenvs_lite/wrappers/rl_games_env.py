@@ -1,4 +1,4 @@
-"""A task as rl_games' vectorised environment: the vec-env type `RLGPU` of IsaacGymEnvs."""
+"""Wraps a task as rl_games' vectorised environment, IsaacGymEnvs' type `RLGPU`."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from isaacgymenvs_lite.utils.threads import release_torch_threads, trainer_sets_
 
 
 class RLGPUEnv(IVecEnv):
-    """Gives rl_games the task that the registered creator makes, as attribute `env`.
+    """The vectorised environment of the task that the registered creator makes; see `env`.
 
-    The first action of an episode in a task with `agents_call_reset_done` has to be chosen for its
-    first observation. Agents of the AMP family call `reset_done` before each action. rl_games' own
-    agents never do: until somebody calls it, `step` does and returns its observations.
+    The first action of an episode must belong to its first observation. Agents of the AMP family
+    therefore call `reset_done` before each action, in a task with `agents_call_reset_done`. Until
+    somebody calls `reset_done`, `step` calls it and returns its observations, because rl_games' own
+    agents never do.
 
     Args:
         config_name: name of the environment in rl_games' configurations, `rlgpu`.
         num_actors: rl_games' number of environments, for `isaacgymenvs_lite.make` without
-            `num_envs`; a creator of your own does not receive it.
-        kwargs: for the creator.
+            `num_envs`; a user's own creator does not receive it.
+        kwargs: arguments of the creator.
     """
 
     def __init__(self, config_name: str, num_actors: int, **kwargs: Any) -> None:
@@ -36,7 +37,7 @@ class RLGPUEnv(IVecEnv):
 
     @classmethod
     def from_task(cls, task: VecTask) -> RLGPUEnv:
-        """Return the vectorised environment of a task that exists already."""
+        """Return the vectorised environment of an existing task."""
         vec_env = cls.__new__(cls)
         vec_env._wrap(task)
         return vec_env
@@ -44,7 +45,7 @@ class RLGPUEnv(IVecEnv):
     def _wrap(self, task: VecTask) -> None:
         self.env = task
         release_torch_threads(task)  # of a task that was made before
-        # A user's own environment may lack it.
+        # A user's own environment may lack this attribute.
         self._calls_reset_done = getattr(task, "agents_call_reset_done", False)
 
     def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
@@ -64,11 +65,11 @@ class RLGPUEnv(IVecEnv):
         return self.env.reset_done()
 
     def get_number_of_agents(self) -> int:
-        """Return the agents per environment."""
+        """Return the number of agents in each environment."""
         return self.env.num_agents
 
     def get_env_info(self) -> dict[str, Any]:
-        """Return the spaces; amp_observation_space and state_space where the task has them."""
+        """Return the spaces; only some tasks have amp_observation_space and state_space."""
         info: dict[str, Any] = {
             "action_space": self.env.action_space,
             "observation_space": self.env.observation_space,
@@ -82,7 +83,7 @@ class RLGPUEnv(IVecEnv):
         return info
 
     def set_train_info(self, env_frames: int, *args: Any, **kwargs: Any) -> None:
-        """Pass on how many environment steps the training has made."""
+        """Pass on the number of environment steps of the training."""
         self.env.set_train_info(env_frames, *args, **kwargs)
 
     def get_env_state(self) -> Any:

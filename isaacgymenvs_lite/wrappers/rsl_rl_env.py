@@ -1,5 +1,5 @@
 # pyright: reportMissingImports=false
-"""A task as a vectorised environment of rsl_rl: TensorDicts of observation groups."""
+"""Wraps a task as a vectorised environment of rsl_rl, with TensorDicts of observations."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from torch import Tensor
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations
 
 ACTOR_GROUP, CRITIC_GROUP = "policy", "critic"
-"""Groups of observations: inputs of policies, and states for asymmetric critics."""
+"""Names of the observation groups: observations of policies, states of asymmetric critics."""
 
 
 class RslRlVecEnvWrapper(VecEnv):
     """N environments of a task of `isaacgymenvs_lite.make` for rsl_rl's runners.
 
     Observations have the groups `policy` (N, F) and, if the task has states, `critic` (N, S).
-    `extras` holds `time_outs` (N,), the task's infos for each environment, `amp_obs` (N, F) for
-    example, and in `log` the infos for all environments together. `stepper` steps the task.
+    `extras` has `time_outs` (N,) and the task's infos for each environment, for example `amp_obs`
+    (N, F); `extras["log"]` has the infos about all environments. `stepper` steps the task.
     """
 
     def __init__(self, task: Any) -> None:
@@ -43,11 +43,11 @@ class RslRlVecEnvWrapper(VecEnv):
         self.task.progress_buf.copy_(lengths)
 
     def get_observations(self) -> TensorDict:
-        """Return the present observations by group."""
+        """Return the current observations by group."""
         return self._observations
 
     def reset(self) -> tuple[TensorDict, dict[str, Any]]:
-        """Start new episodes and return their observations, and no extras."""
+        """Start new episodes; return their observations and empty extras."""
         self._observations = self._grouped(self.stepper.reset())
         return self._observations, {}
 

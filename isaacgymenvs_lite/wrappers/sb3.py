@@ -1,5 +1,5 @@
 # pyright: reportMissingImports=false
-"""A task as a vectorised environment of Stable-Baselines3: numpy in and out.
+"""Wraps a task as a vectorised environment of Stable-Baselines3, with numpy arrays.
 
 Isaac Lab's `isaaclab_rl.sb3` has the same names; docs/from_isaac_lab.md has a script.
 """
@@ -29,13 +29,13 @@ from isaacgymenvs_lite.wrappers.isaac_lab_env import IsaacLabEnv
 log = logging.getLogger(__name__)
 
 _BATCHED = (IsaacLabEnv, GymnasiumVectorEnv)
-# Wrappers that change nothing of what a step returns.
+# These wrappers do not change the results of a step.
 _RECORDERS = (
     *(gymnasium.wrappers.RecordVideo, gymnasium.wrappers.vector.RecordVideo),
     *(gymnasium.wrappers.OrderEnforcing, gymnasium.wrappers.PassiveEnvChecker),
 )
 
-# Arguments of PPO that may be "lin_3e-4": linearly to zero, as in Stable-Baselines3's zoo.
+# PPO's arguments that may fall linearly to zero, "lin_3e-4", as in Stable-Baselines3's zoo.
 _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 _LINEAR = "lin_"
 _NN = ("nn.", "torch.nn.", "th.nn.")
@@ -51,22 +51,23 @@ def _unrecorded(env: Any) -> Any:
 class Sb3VecEnvWrapper(VecEnv):
     """N environments of a task for Stable-Baselines3.
 
-    An ended episode's `infos[i]` holds `terminal_observation` (F,), `TimeLimit.truncated` and
-    `episode` {"r": return, "l": length, "t": s since the start}, so that no `VecMonitor` is needed.
-    Every `infos[i]` also holds the task's infos for environment i at the end of the step, such as
-    `amp_obs` (F,), and in `infos[i]["log"]` the infos for all environments together.
+    `infos[i]` of an ended episode has `terminal_observation` (F,), `TimeLimit.truncated` and
+    `episode` {"r": return, "l": length, "t": s since the start}, so that `VecMonitor` is not
+    needed. Every `infos[i]` also has the task's infos for environment i at the end of the step, for
+    example `amp_obs` (F,); `infos[i]["log"]` has the infos about all environments.
 
     Args:
-        task: what `isaacgymenvs_lite.make` returns; or `gymnasium.make("Isaac-Cartpole-v0")` or
-            `gymnasium.make_vec`, also in a wrapper that records videos.
-        render_mode: `rgb_array` or None; an environment of Gymnasium has its own.
-        fast_variant: not read, for scripts of Isaac Lab: infos are complete.
+        task: a task of `isaacgymenvs_lite.make`, or the result of
+            `gymnasium.make("Isaac-Cartpole-v0")` or `gymnasium.make_vec`, also with a video
+            wrapper.
+        render_mode: `rgb_array` or None; an environment of Gymnasium has its own mode.
+        fast_variant: has no effect, because infos are always complete; Isaac Lab has it.
 
     Attributes:
-        stepper: steps the task; its `last_step` is the last step as tensors.
+        stepper: steps the task; its `last_step` contains the last step as tensors.
 
     Raises:
-        WrapperError: `task` is something else, or in a wrapper that changes what a step returns.
+        WrapperError: `task` is something else, or has a wrapper that changes the results of a step.
     """
 
     def __init__(
@@ -98,7 +99,7 @@ class Sb3VecEnvWrapper(VecEnv):
         self._actions = torch.as_tensor(np.asarray(actions, dtype=np.float32))
 
     def step_wait(self) -> tuple[Floats, Floats, Bools, list[dict[str, Any]]]:
-        """Return observations (N, F), rewards (N,), dones (N,) and N infos; see the class."""
+        """Return observations (N, F), rewards (N,), dones (N,) and N infos, see the class."""
         if self._env is None:
             self.stepper.step(self._actions)
         else:  # the recorders around the environment see the step
@@ -146,13 +147,13 @@ class Sb3VecEnvWrapper(VecEnv):
     # --- per-environment calls of Stable-Baselines3; here all environments are one task ----------
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute of the task, once for each environment."""
+        """Return an attribute of the task in a list, once for each environment."""
         owner = self.stepper if attr_name == "render_mode" else self.task
         value = getattr(owner, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of the task, for all environments; `indices` may not select fewer."""
+        """Set an attribute of the task; `indices` must include all environments."""
         if len(set(self._get_indices(indices))) != self.num_envs:
             raise ConfigError(
                 f"set_attr('{attr_name}', indices={indices}): the environments are one task;"
@@ -163,24 +164,28 @@ class Sb3VecEnvWrapper(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of the task, once, and return its result for each environment."""
+        """Call a method of the task once; return its result in a list for each environment."""
         result = getattr(self.task, method_name)(*method_args, **method_kwargs)
         return [result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Return True for `Monitor`, as the infos have the returns and lengths of episodes."""
+        """Return True for `Monitor`, because infos have returns and lengths of episodes."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
 
 def process_sb3_cfg(cfg: Mapping[str, Any], num_envs: int) -> dict[str, Any]:
     """Return an agent file of Isaac Lab as arguments of Stable-Baselines3's PPO.
 
-    `n_minibatches` becomes `batch_size`, `lin_3e-4` a schedule, `policy_kwargs` and the activation
-    in it objects. A GPU in `device` is left out where torch sees none. All other keys stay, also
-    `n_timesteps`, `policy` and `normalize_input`, which are no arguments of PPO.
+    `n_minibatches` becomes `batch_size`, `lin_3e-4` becomes a schedule, and the activation in
+    `policy_kwargs` becomes a class. `device` is removed if it names a GPU that torch does not see.
+    All other keys stay, also `n_timesteps`, `policy` and `normalize_input`, which PPO does not
+    have.
 
     Older files write `policy_kwargs` as a line of Python, `"dict(activation_fn=nn.ELU, ...)"`,
-    which Isaac Lab evaluates. Here it is parsed and never run. A wrong value is a `ConfigError`.
+    which Isaac Lab evaluates. Here the line is parsed but never run.
+
+    Raises:
+        ConfigError: a value is wrong.
     """
     made = read_schedules(cfg, "agent")
     if "n_minibatches" in made:
@@ -193,7 +198,7 @@ def process_sb3_cfg(cfg: Mapping[str, Any], num_envs: int) -> dict[str, Any]:
 
 
 def read_schedules(section: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return arguments of PPO with falling schedules for "lin_3e-4"; other values unchanged."""
+    """Return arguments of PPO with schedules in place of values such as "lin_3e-4"."""
     made = dict(section)
     for key in _SCHEDULED:
         value = made.get(key)

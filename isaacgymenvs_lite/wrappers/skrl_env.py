@@ -1,5 +1,5 @@
 # pyright: reportMissingImports=false
-"""A task as an environment of skrl: torch in and out."""
+"""Wraps a task as an environment of skrl, with torch tensors."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations
 class SkrlVecEnvWrapper(Wrapper):
     """N environments of a task of `isaacgymenvs_lite.make` for skrl's trainers and agents.
 
-    `infos` holds the task's infos for each environment at the end of the step, `amp_obs` (N, F) for
-    example, and in `episode` the infos for all environments together, which trainers log. Steps
-    that end episodes add `final_observations` (N, F): the last ones of the ended episodes, where
-    `step` returns the first ones of the next. Rows of other environments mean nothing.
+    `infos` has the task's infos for each environment at the end of the step, for example `amp_obs`
+    (N, F); `infos["episode"]` has the infos about all environments, which trainers log. A step that
+    ends episodes returns the first observations of the next episodes and adds
+    `final_observations` (N, F), the last observations of the ended episodes. Rows of other
+    environments have no meaning.
 
     `render_mode` is `rgb_array` or None; `stepper` steps the task.
     """
@@ -32,7 +33,7 @@ class SkrlVecEnvWrapper(Wrapper):
         super().__init__(self.task)
 
     def reset(self) -> tuple[Tensor, dict[str, Any]]:
-        """Start new episodes and return their observations (N, F) and no infos."""
+        """Start new episodes; return their observations (N, F) and empty infos."""
         return self._observed(self.stepper.reset()), {}
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
@@ -50,7 +51,7 @@ class SkrlVecEnvWrapper(Wrapper):
             }
         if step.final_observations is not None:
             infos["final_observations"] = step.final_observations["obs"]
-        # Copies, because agents add to the rewards in place.
+        # Agents change the rewards in place, so they get copies.
         columns = (step.rewards, step.terminated, step.truncated)
         rewards, terminated, truncated = (column.clone().unsqueeze(-1) for column in columns)
         return self._observed(step.observations), rewards, terminated, truncated, infos
@@ -73,7 +74,7 @@ class SkrlVecEnvWrapper(Wrapper):
 
     @property
     def device(self) -> torch.device:
-        """Where observations are and actions are expected."""
+        """Device of observations and actions."""
         return torch.device(self.task.rl_device)
 
     @property

@@ -1,9 +1,9 @@
-"""Videos at chosen steps or episodes: of a task, and of environments of Gymnasium.
+"""Records videos of a task or an environment of Gymnasium at chosen steps or episodes.
 
     env = gymnasium.make("IsaacGymEnvsLite/Ant-v0", render_mode="rgb_array")
     env = RecordVideo(env, "videos", episode_trigger=lambda episode: episode % 10 == 0)
 
-Gymnasium's own classes encode with MoviePy, which installs an ffmpeg and an older Pillow.
+Gymnasium's own classes need MoviePy, which installs an ffmpeg and an older Pillow.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ from isaacgymenvs_lite.rendering.tracks import PoseRecorder
 from isaacgymenvs_lite.rendering.video import check_encoder, save_video
 from isaacgymenvs_lite.viewers.videos import VideoWriter, make_video_folder
 
-# Limit of a video that lasts as long as an episode, in control steps.
+# Largest number of control steps of a video that shows a whole episode.
 _MAX_LENGTH = 10_000
 
 
 class TaskVideo:
     """Records videos of environment 0 of a task, and passes all other calls to the task.
 
-    It replaces the wrapper of gym 0.2x in scripts of IsaacGymEnvs, where a step returns batches of
-    four values (gymnasium's wrapper expects five). A thread draws and encodes.
+    It replaces the wrapper of gym 0.2x in scripts of IsaacGymEnvs, in which a step returns four
+    values (gymnasium's wrapper expects five). A thread draws and encodes.
 
     Args:
-        env: what `isaacgymenvs_lite.make` returns.
-        video_folder: where the files go; made if it does not exist.
-        episode_trigger: called with the number of episodes that environment 0 has ended; True
-            starts a video `<name_prefix>-episode-<number>.mp4`.
-        step_trigger: called with the number of steps made; True begins a video
-            `<name_prefix>-step-<number>.mp4`. Without any trigger: episodes 0, 1, 8, 27, ..., 729,
-            then every thousandth.
-        video_length: steps of a video; 0: as long as the episode of environment 0.
-        name_prefix: of the files; no existing file is overwritten.
+        env: a task of `isaacgymenvs_lite.make`.
+        video_folder: folder for the files, which is made if it does not exist.
+        episode_trigger: is called with the number of ended episodes of environment 0; True starts a
+            video `<name_prefix>-episode-<number>.mp4`.
+        step_trigger: is called with the number of steps; True starts a video
+            `<name_prefix>-step-<number>.mp4`. Without a trigger the episodes 0, 1, 8, 27, ..., 729
+            and then every thousandth episode are recorded.
+        video_length: steps of a video; 0 means the length of the episode of environment 0.
+        name_prefix: prefix of the files' names; existing files are not overwritten.
 
     Raises:
-        ConfigError: both triggers, or a folder that cannot be written.
+        ConfigError: both triggers are given, or the folder cannot be written.
         RenderingError: this machine cannot draw.
     """
 
@@ -76,11 +76,11 @@ class TaskVideo:
         self._recorder: PoseRecorder | None = None
         self._path = self.video_folder
         self._recorded = 0
-        # Scripts may end without closing the task.
+        # A script may end without closing the task.
         atexit.register(self.close_video_recorder)
 
     def __getattr__(self, name: str) -> Any:
-        # Private names and `env` may be looked up before the constructor sets them, by copy.
+        # `copy` reads private names and `env` before the constructor has set them.
         if name.startswith("_") or name == "env":
             raise AttributeError(name)
         return getattr(self.env, name)
@@ -91,13 +91,13 @@ class TaskVideo:
         return getattr(self.env, "unwrapped", self.env)
 
     def reset(self, **kwargs: Any) -> Any:
-        """Reset the task; a video may start."""
+        """Reset the task, and start a video if a trigger says so."""
         observations = self.env.reset(**kwargs)
         self._start_if_due()
         return observations
 
     def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, dict[str, Any]]:
-        """Advance the task; a video may go on, end or start."""
+        """Advance the task, and continue, end or start a video."""
         result = self.env.step(actions)
         has_ended = bool(result[2][0])
         self.step_id += 1
@@ -117,7 +117,7 @@ class TaskVideo:
         self.env.close()
 
     def close_video_recorder(self) -> None:
-        """End the current video, and wait until all are written."""
+        """End the current video, and wait until all videos are written."""
         self._finish()
         self._video_writer.close()
 
@@ -141,19 +141,19 @@ class TaskVideo:
 
 
 class _EncodedByPyAV:
-    """Replaces the start and the end of a recording in Gymnasium's classes."""
+    """Replaces the encoder in Gymnasium's classes."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         check_encoder()
         given = inspect.signature(super().__init__).bind(*args, **kwargs).arguments
         if given.get("episode_trigger") is None and given.get("step_trigger") is None:
-            # Gymnasium's own is in a module that imports MoviePy.
+            # Gymnasium's function is in a module that imports MoviePy.
             kwargs["episode_trigger"] = is_cube_or_thousandth
-        with suppress(DependencyNotInstalled):  # raised at the end, when all else is done
+        with suppress(DependencyNotInstalled):  # the constructor raises it as its last action
             super().__init__(*args, **kwargs)
 
     def stop_recording(self: Any) -> None:
-        """Write the recorded pictures; without any there is no file."""
+        """Write the recorded pictures; no file is written without pictures."""
         if self.recorded_frames:
             path = Path(self.video_folder, f"{self._video_name}.mp4")
             save_video(path, self.recorded_frames, self.frames_per_sec)
@@ -163,7 +163,7 @@ class _EncodedByPyAV:
 
 
 def is_cube_or_thousandth(episode: int) -> bool:
-    """Whether an episode is recorded by default: 0, 1, 8, ..., 729, and each 1000th."""
+    """Return whether an episode is recorded by default: 0, 1, 8, ..., 729, and each 1000th."""
     if episode >= 1000:
         return episode % 1000 == 0
     return round(episode ** (1 / 3)) ** 3 == episode
@@ -174,4 +174,4 @@ class RecordVideo(_EncodedByPyAV, gymnasium.wrappers.RecordVideo):
 
 
 class RecordVectorVideo(_EncodedByPyAV, gymnasium.wrappers.vector.RecordVideo):
-    """`gymnasium.wrappers.vector.RecordVideo` without MoviePy: all environments in one picture."""
+    """`gymnasium.wrappers.vector.RecordVideo` without MoviePy; it shows all environments."""
