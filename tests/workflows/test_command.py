@@ -74,7 +74,11 @@ def test_a_wrong_key_is_one_line():
     for verb, words, message in [
         ("train", "num_envs=3", "task= is missing, for example task=Cartpole"),
         ("train", "task=Ant max_iteration=3", "(did you mean 'max_iterations'?)"),
-        ("train", "task=Ant real_time=True", "real_time=True: is no setting of another library's"),
+        (
+            "train",
+            "task=Ant real_time=True",
+            "real_time=True: this setting does not apply to another library's",
+        ),
         ("train", "task=Ant Cartpole", "Cartpole: is no setting of another library's agent"),
         ("train", "task=Ant experiment=mine", "expected agent, checkpoint, log_interval, logs,"),
         ("train", "task=Ant logs={", "logs={: a value is not valid YAML"),
