@@ -50,14 +50,10 @@ _MAX_DELAY = 100  # control steps
 class ObservationNoise:
     """`task.env.observationNoise`: half widths of uniform noise on the parts of a frame."""
 
-    root_ang_vel_b: float = setting(0.0, minimum=0)
-    """rad/s."""
+    root_ang_vel_b: float = setting(0.0, minimum=0)  # rad/s
     gravity_b: float = setting(0.0, minimum=0)
-    """Of the unit vector, which stays one."""
-    dof_pos_offset: float = setting(0.0, minimum=0)
-    """rad."""
-    dof_vel: float = setting(0.0, minimum=0)
-    """rad/s."""
+    dof_pos_offset: float = setting(0.0, minimum=0)  # rad
+    dof_vel: float = setting(0.0, minimum=0)  # rad/s
 
     @property
     def widths(self) -> dict[str, float]:
@@ -70,35 +66,22 @@ class RobotAMPConfig(HumanoidAMPConfig, RobotSettings):
     """`task.env` of RobotAMP: HumanoidAMP's keys and a robot's; null means found in the model."""
 
     motion_file: str = setting("g1_walk.npz")
-    """A clip of this robot: a path, or a name in assets/amp/motions."""
     contact_bodies: tuple[str, ...] = setting((), key="contactBodies")
-    """Bodies that may touch the floor, names or patterns; (): what touches it in the start pose."""
-    termination_height: float | None = setting(None, key="terminationHeight", above=0)
-    """A touched robot with a body below this height (m) fell; null: a share of the start height."""
+    termination_height: float | None = setting(None, key="terminationHeight", above=0)  # m
     action_scale: float | None = setting(None, key="actionScale", above=0, maximum=100)
-    """Targets of the drives are the start pose + actionScale * action, in rad; null: found from
-    their gains and efforts."""
     enforce_effort_limits: bool = setting(True, key="enforceEffortLimits")
-    """Limit the drives' torques to the robot's efforts."""
     asset: AssetConfig = field(default_factory=lambda: AssetConfig("mjcf/g1.xml"))
     observations: str = setting("full", choices=("full", "deployable"))
-    """What the policy observes: all of the simulated state, or what a robot measures."""
     history_steps: int = setting(1, key="historySteps", minimum=1, maximum=_MAX_FRAMES)
-    """Frames in a `deployable` observation, one for each of the last control steps."""
     observation_noise: ObservationNoise = field(
         default_factory=ObservationNoise, metadata={"key": "observationNoise"}
     )
-    """On `deployable` frames."""
     action_delay: tuple[int, ...] = setting(
         (0, 0), key="actionDelay", minimum=0, maximum=_MAX_DELAY, length=2
-    )
-    """Control steps from a policy's choice to its effect, least and most; drawn per episode."""
+    )  # control steps
     push_robots: bool = setting(False, key="pushRobots")
-    """Change the velocities of the bases now and then."""
     push_interval_s: float = setting(5.0, key="pushInterval_s", above=0)
-    """From one push of all robots to the next."""
-    push_velocity: float = setting(0.5, key="pushVelocity", minimum=0, maximum=100)
-    """Largest change of the velocity along each axis of the ground, m/s."""
+    push_velocity: float = setting(0.5, key="pushVelocity", minimum=0, maximum=100)  # m/s
 
     @property
     def is_deployable(self) -> bool:

@@ -23,7 +23,6 @@ class GoalSettings:
     """Keys of `task.env` that every goal reads."""
 
     enable_task_obs: bool = setting(True, key="enableTaskObs")
-    """Add the goal to the observation."""
 
 
 class Goal(Stateful):

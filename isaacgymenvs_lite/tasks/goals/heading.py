@@ -85,16 +85,11 @@ def compute_heading_reward(
 class HeadingSettings(GoalSettings):
     """Keys of `task.env` for the goal `heading`."""
 
-    tar_speed_min: float = setting(1.5, key="tarSpeedMin", minimum=0)
-    """m/s; the target speed is drawn between this and `tarSpeedMax`."""
-    tar_speed_max: float = setting(1.6, key="tarSpeedMax", minimum=0)
-    """m/s."""
+    tar_speed_min: float = setting(1.5, key="tarSpeedMin", minimum=0)  # m/s
+    tar_speed_max: float = setting(1.6, key="tarSpeedMax", minimum=0)  # m/s
     change_steps_min: int = setting(100, key="headingChangeStepsMin", minimum=1)
-    """Control steps after which the goal changes, at the earliest."""
     change_steps_max: int = setting(200, key="headingChangeStepsMax", minimum=2)
-    """The goal changes before so many control steps."""
     enable_rand_heading: bool = setting(True, key="enableRandHeading")
-    """Draw direction and facing independently; False: along +x."""
 
 
 class Heading(TimedGoal):

@@ -73,14 +73,10 @@ def compute_location_reward(
 class LocationSettings(GoalSettings):
     """Keys of `task.env` for the goal `location`."""
 
-    tar_speed: float = setting(1.0, key="tarSpeed", minimum=0)
-    """Target speed of approach in m/s."""
+    tar_speed: float = setting(1.0, key="tarSpeed", minimum=0)  # m/s
     change_steps_min: int = setting(100, key="tarChangeStepsMin", minimum=1)
-    """Control steps after which the goal changes, at the earliest."""
     change_steps_max: int = setting(200, key="tarChangeStepsMax", minimum=2)
-    """The goal changes before so many control steps."""
-    tar_dist_max: float = setting(10.0, key="tarDistMax", above=0)
-    """m; points are drawn in a square about the character, so far from it along x and y."""
+    tar_dist_max: float = setting(10.0, key="tarDistMax", above=0)  # m
 
 
 class Location(TimedGoal):

@@ -39,24 +39,14 @@ def compute_reach_reward(reach_body_pos: Tensor, tar_pos: Tensor) -> Tensor:
 class ReachSettings(GoalSettings):
     """Keys of `task.env` for the goal `reach`."""
 
-    tar_speed: float = setting(1.0, key="tarSpeed", minimum=0)
-    """No effect; ASE's files have it."""
+    tar_speed: float = setting(1.0, key="tarSpeed", minimum=0)  # no effect
     change_steps_min: int = setting(50, key="tarChangeStepsMin", minimum=1)
-    """Control steps after which the goal changes, at the earliest."""
     change_steps_max: int = setting(100, key="tarChangeStepsMax", minimum=2)
-    """The goal changes before so many control steps."""
-    tar_dist_max: float = setting(1.0, key="tarDistMax", above=0)
-    """m; points are drawn so far from the environment's origin along x and y."""
-    tar_height_min: float = setting(0.2, key="tarHeightMin")
-    """m."""
-    tar_height_max: float = setting(2.0, key="tarHeightMax")
-    """m."""
+    tar_dist_max: float = setting(1.0, key="tarDistMax", above=0)  # m
+    tar_height_min: float = setting(0.2, key="tarHeightMin")  # m
+    tar_height_max: float = setting(2.0, key="tarHeightMax")  # m
     reach_body_name: str = setting("", key="reachBodyName")
-    """The body whose origin is to reach it; '': the sword (the tip of its blade), or the right
-    hand of a character that has none."""
     reach_obs_relative: bool = setting(False, key="reachObsRelative")
-    """This project's: observe the point relative to the root in the plane. ASE observes it in the
-    world, so that a character away from the origin does not observe where the point is."""
 
 
 class Reach(TimedGoal):

@@ -110,7 +110,6 @@ class StrikeSettings(GoalSettings):
     """Keys of `task.env` for the goal `strike`."""
 
     strike_body_names: tuple[str, ...] = setting((), key="strikeBodyNames")
-    """Bodies that may hit the box; []: sword, right hand and lower arm, if it has them."""
 
 
 class Strike(Goal):

@@ -64,12 +64,9 @@ def compute_planar_motion(root_states: Tensor, forward_yaw_rad: float = 0.0) -> 
 class GaitCommandRanges(CommandRangesConfig):
     """`task.env.randomCommandVelocityRanges`: as Anymal's, of the heading frame."""
 
-    linear_x: tuple[float, ...] = setting((0.0, 1.0), length=2)
-    """m/s, forward."""
-    linear_y: tuple[float, ...] = setting((-0.3, 0.3), length=2)
-    """m/s, to the left."""
-    yaw: tuple[float, ...] = setting((-1.0, 1.0), length=2)
-    """rad/s, to the left."""
+    linear_x: tuple[float, ...] = setting((0.0, 1.0), length=2)  # m/s, forward
+    linear_y: tuple[float, ...] = setting((-0.3, 0.3), length=2)  # m/s, to the left
+    yaw: tuple[float, ...] = setting((-1.0, 1.0), length=2)  # rad/s, to the left
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,22 +77,13 @@ class VelocitySettings(GoalSettings):
         default_factory=GaitCommandRanges, metadata={"key": "randomCommandVelocityRanges"}
     )
     change_steps_min: int = setting(90, key="commandChangeStepsMin", minimum=1)
-    """Control steps after which the command changes, at the earliest."""
     change_steps_max: int = setting(210, key="commandChangeStepsMax", minimum=2)
-    """The command changes before so many control steps."""
     standing_share: float = setting(0.15, key="standingShare", minimum=0, maximum=1)
-    """Share of the commands that are to stand still, whatever the ranges are."""
     forward_yaw_rad: float = setting(0.0, key="forwardYaw", minimum=-math.pi, maximum=math.pi)
-    """Direction (rad) that is forward in the heading frame: pi / 2 if the robot's front is the y
-    axis of its base."""
     clip_share: float = setting(0.0, key="clipCommandShare", minimum=0, maximum=1)
-    """Of the starts in a clip, first commanded what the clip does in the next second."""
     end_stalled: bool = setting(False, key="endStalled")
-    """End episodes, as failed, of robots that hardly go although they are commanded to."""
     lin_vel_xy_reward: float = setting(0.6, key="linearVelocityXYRewardScale", minimum=0)
-    """Reward of a step whose last second had exactly the commanded velocity."""
     ang_vel_z_reward: float = setting(0.4, key="angularVelocityZRewardScale", minimum=0)
-    """Reward of a step whose last second had exactly the commanded turn rate."""
 
 
 class Velocity(TimedGoal):

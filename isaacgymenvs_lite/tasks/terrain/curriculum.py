@@ -1,4 +1,4 @@
-"""Curriculum of the terrain: a robot that walks far moves on to a harder tile."""
+"""Terrain curriculum: a robot that walks far moves on to a harder tile."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from torch import Tensor
 from isaacgymenvs_lite.tasks.terrain.grid import Terrain, TerrainConfig
 from isaacgymenvs_lite.utils.state import Stateful
 
-# Robots that cover less than this share of the commanded distance go back.
 _DEMOTED_SHARE = 0.25
 
 
@@ -19,17 +18,18 @@ def next_levels(
     tile_length_m: float,
     num_levels: int,
 ) -> Tensor:
-    """Return the levels (n,) after an episode.
+    """Return the levels (n,) after an episode, as in IsaacGymEnvs.
 
-    One up beyond half of the tile's length, one down below a quarter of what was commanded, both
-    at once if both hold; not below 0, and from the last level back to 0. As IsaacGymEnvs.
+    A robot that went farther than half a tile moves up. A robot that covered less than a quarter of
+    the commanded distance moves down. If both hold, it stays. Level 0 is the lowest, and level 0
+    follows the last level.
 
     Args:
         levels: (n,) int64.
-        distances_m: (n,) from the tile's middle, over the ground.
-        commanded_m: (n,) commanded speed times the length of an episode.
-        tile_length_m: along x.
-        num_levels: levels there are.
+        distances_m: (n,) from the middle of the tile, over the ground.
+        commanded_m: (n,) commanded speed times the episode length.
+        tile_length_m: length of a tile along x.
+        num_levels: number of levels.
     """
     up = (distances_m > tile_length_m / 2.0).long()
     down = (distances_m < _DEMOTED_SHARE * commanded_m).long()
@@ -37,16 +37,16 @@ def next_levels(
 
 
 class Curriculum(Stateful):
-    """Levels and types of N robots.
+    """Levels and types of N robots' tiles.
 
-    `demotionAsPublished`: IsaacGymEnvs compares each robot's distance with the norm of the commands
-    of all robots that start at the same time, so that the more there are the more go back.
+    With `demotionAsPublished`, each robot's distance is compared with the norm of the commands of
+    all robots that start at the same time, as in IsaacGymEnvs. More robots then go back a level.
 
     Args:
         cfg: `task.env.terrain`.
         terrain: the ground.
         num_envs: N.
-        device: of the tensors.
+        device: device of the tensors.
 
     Attributes:
         levels: (N,) int64.
@@ -61,7 +61,7 @@ class Curriculum(Stateful):
         self._cfg = cfg
         self._origins = torch.from_numpy(terrain.origins).float().to(device)
         num_levels, num_types = self._origins.shape[:2]
-        # Without a curriculum the tiles are no harder at higher levels.
+        # Without a curriculum all levels are equally hard.
         highest = cfg.max_init_level if cfg.curriculum else num_levels - 1
         highest = min(highest, num_levels - 1)
         self.levels = torch.randint(highest + 1, (num_envs,), device=device)
@@ -78,9 +78,9 @@ class Curriculum(Stateful):
 
         Args:
             env_ids: (n,).
-            root_pos: (n, 3) where they are (m).
+            root_pos: (n, 3) m.
             command: (n, 2) commanded velocity (m/s).
-            episode_length_s: longest time of an episode.
+            episode_length_s: duration of the longest episode.
         """
         if not self._cfg.curriculum or len(env_ids) == 0:
             return

@@ -1,4 +1,4 @@
-"""Height scan: the heights of the ground at a grid of points around a robot."""
+"""Height scan: ground heights at a grid of points around a robot."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from torch import Tensor
 
 from isaacgymenvs_lite.tasks.terrain.grid import HORIZONTAL_M, VERTICAL_M, Terrain
 
-# Before and behind, left and right of the robot, in its heading's frame (m).
+# Distances in front and behind, left and right, in the heading frame (m).
 _SIDE_X = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 _SIDE_Y = (0.1, 0.2, 0.3, 0.4, 0.5)
 NUM_POINTS = 4 * len(_SIDE_X) * len(_SIDE_Y)
 
 
 def scan_points() -> Tensor:
-    """Return the points (2, 140) around a robot (m), as IsaacGymEnvs: y runs faster than x."""
+    """Return the points (2, 140) around a robot (m) in IsaacGymEnvs' order: y varies fastest."""
     x = torch.tensor([*(-v for v in reversed(_SIDE_X)), *_SIDE_X])
     y = torch.tensor([*(-v for v in reversed(_SIDE_Y)), *_SIDE_Y])
     return torch.stack(torch.meshgrid(x, y, indexing="ij")).flatten(1)
@@ -23,12 +23,8 @@ def scan_points() -> Tensor:
 class HeightScan:
     """Measures the ground around N robots.
 
-    The height at a point is the lower one of two opposite corners of the sample's square, as
+    The height at a point is the lower of two opposite corners of its grid square, as in
     IsaacGymEnvs.
-
-    Args:
-        terrain: the ground.
-        device: of the tensors.
     """
 
     def __init__(self, terrain: Terrain, device: torch.device) -> None:
@@ -40,11 +36,11 @@ class HeightScan:
         self._points = scan_points().to(device)[..., None]
 
     def __call__(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
-        """Return the heights (140, N) of the ground (m).
+        """Return the ground heights (140, N) in m.
 
         Args:
-            root_pos: (N, 3) in the world (m).
-            root_rot: (N, 4) xyzw; only the turn about z counts, its x and y being dropped.
+            root_pos: (N, 3) world position (m).
+            root_rot: (N, 4) xyzw, of which only z and w are used, as a rotation about z.
         """
         z, w = root_rot[:, 2], root_rot[:, 3]
         length = (z * z + w * w).clamp(min=1e-12)
