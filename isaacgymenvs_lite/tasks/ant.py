@@ -38,19 +38,12 @@ def compute_ant_observations(
 ) -> Tensor:
     """Return the observations (N, 60).
 
-    They are height, velocities in the torso frame, yaw, roll, angle to the target, `up_proj`,
-    `heading_proj`, 8 joint positions scaled to [-1, 1], 8 joint velocities, 4 x 6 contact forces
-    and torques on the feet, and 8 actions.
+    First come height, velocities in the torso frame, yaw, roll, angle to the target, `up_proj` and
+    `heading_proj`. Then come 8 joint positions scaled to [-1, 1], 8 joint velocities, 4 x 6 contact
+    forces and torques on the feet, and 8 actions.
 
-    Args:
-        torso: see `compute_torso_state`.
-        dof_pos: (N, 8) rad.
-        dof_vel: (N, 8) rad/s.
-        lower: (8,) rad.
-        upper: (8,) rad.
-        foot_wrenches: (24, N) N and Nm, in the foot frames.
-        actions: (N, 8) of the last step.
-        cfg: the scales.
+    Joint quantities are (N, 8) in rad and rad/s, their limits (8,). The foot wrenches (24, N) are
+    in N and Nm, in the foot frames.
     """
     return torch.cat(
         (
@@ -78,13 +71,8 @@ def compute_ant_reward(
 ) -> Terms:
     """Return the reward terms (N,).
 
-    Args:
-        torso: see `compute_torso_state`.
-        progress_m_s: (N,) speed towards the target.
-        actions: (N, 8).
-        dof_pos_share: (N, 8) joint positions, scaled from their ranges to [-1, 1].
-        dof_vel_scaled: (N, 8) joint velocities times dofVelocityScale.
-        cfg: weights and costs.
+    `progress_m_s` (N,) is the speed towards the target. The other tensors are (N, 8), scaled as in
+    the observation.
     """
     terms = {
         **running_terms(torso, progress_m_s, actions, _ALIVE_REWARD, cfg),

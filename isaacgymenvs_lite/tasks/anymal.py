@@ -67,16 +67,9 @@ def compute_anymal_observations(
 ) -> Tensor:
     """Return the observations (N, 48).
 
-    They are linear and angular velocity, gravity, 3 commands, 12 joint positions and velocities,
-    and 12 actions. All except gravity and actions are scaled.
-
-    Args:
-        motion: motion of the base in its frame.
-        commands: (3, N) m/s and rad/s.
-        dof_pos: (12, N) rad, relative to the default angles.
-        dof_vel: (12, N) rad/s.
-        actions: (12, N) of the last step.
-        cfg: the scales.
+    First come linear and angular velocity, gravity and 3 commands. Then come 12 joint positions
+    relative to the default angles, 12 joint velocities, and 12 actions. All except gravity and
+    actions are scaled. The shapes of the arguments are (3, N) and (12, N).
     """
     return torch.cat((*proprioception(motion, commands, dof_pos, dof_vel, cfg), actions)).t()
 
@@ -86,12 +79,8 @@ def compute_anymal_reward(
 ) -> Terms:
     """Return the reward terms (N,), whose sum is not negative.
 
-    Args:
-        motion: motion of the base in its frame.
-        commands: (3, N) m/s and rad/s.
-        torques: (12, N) joint torques (Nm).
-        cfg: reward weights per second.
-        dt: `task.sim.dt` (s), as in IsaacGymEnvs.
+    `commands` (3, N) are in m/s and rad/s, `torques` (12, N) in Nm. The weights of `cfg` are per
+    second, and `dt` is `task.sim.dt` (s), as in IsaacGymEnvs.
     """
     along, turning = compute_tracking_rewards(commands, motion)
     terms = {

@@ -12,12 +12,12 @@ Other quirks are gone: missing time-outs, first observations with quantities of 
 episode, pushes despite `learn.pushRobots=False`, and the joint speed limit of 20 rad/s. Vertical
 walls are slopes over 0.1 m of a height field.
 
-`env.controlFrequencyInv` multiplies the control step. In IsaacGymEnvs it adds simulator calls after
-the last torque, which no time scale counts.
+`env.controlFrequencyInv` multiplies the duration of a control step. IsaacGymEnvs instead adds
+simulator calls after the last torque, and no time scale counts them.
 
-The PD controller is a drive of the model. With Euler's method its torque, limited to 80 Nm, depends
-on positions and velocities at the start of a simulator call. IsaacGymEnvs computes the same torque
-in Python before each call.
+The PD controller is a drive of the model. Euler's method computes its torque from positions and
+velocities at the start of a simulator call. IsaacGymEnvs computes the same torque in Python before
+each call. It is limited to 80 Nm.
 """
 
 from __future__ import annotations
@@ -88,8 +88,6 @@ class AnymalTerrain(VelocityTrackingTask):
     num_actions = 12
     num_commands = 4
 
-    # --- construction -----------------------------------------------------------------------
-
     @property
     def control_dt_s(self) -> float:
         """Nominal time of a control step (s)."""
@@ -158,8 +156,6 @@ class AnymalTerrain(VelocityTrackingTask):
         self._reward_sums = torch.zeros(len(TERM_NAMES), n, device=device)
         self._episode: dict[str, Tensor] = {}
         self._final_observations: dict[str, Tensor] = {}
-
-    # --- step -------------------------------------------------------------------------------
 
     def pre_physics_step(self, actions: Tensor) -> None:
         """Store the previous action and joint velocities, then set the joint position targets."""
@@ -274,8 +270,6 @@ class AnymalTerrain(VelocityTrackingTask):
         """Return the means of the ended episodes; see the class docstring."""
         return {"episode": self._episode} if self._episode else {}
 
-    # --- reset ------------------------------------------------------------------------------
-
     def reset_state(self, env_ids: Tensor) -> None:
         """Place the robots on their tiles, draw commands, and clear sums and timers."""
         self._conclude(env_ids)
@@ -309,8 +303,6 @@ class AnymalTerrain(VelocityTrackingTask):
             **{f"rew_{name}": rate for name, rate in zip(TERM_NAMES, rates, strict=True)},
             "terrain_level": self.curriculum.levels.float().mean(),
         }
-
-    # --- checkpoints ------------------------------------------------------------------------
 
     def get_env_state(self) -> dict[str, Tensor]:
         """Return the levels (N,) of the robots, for a resumed training."""

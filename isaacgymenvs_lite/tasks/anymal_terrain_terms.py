@@ -132,18 +132,10 @@ def compute_anymal_terrain_observations(
 ) -> Tensor:
     """Return the observations (N, 188) without noise.
 
-    They are linear and angular velocity, gravity, 3 commands, 12 joint positions and velocities,
-    140 heights, and 12 actions. Joint positions are absolute, unlike Anymal's.
-
-    Args:
-        motion: motion of the base in its frame.
-        commands: (3 or more, N) m/s and rad/s.
-        dof_pos: (12, N) rad.
-        dof_vel: (12, N) rad/s.
-        base_height: (N,) m.
-        ground: (140, N) heights of the ground (m).
-        actions: (12, N) of the last step.
-        cfg: the scales.
+    First come linear and angular velocity, gravity and 3 commands. Then come 12 joint positions and
+    velocities, 140 heights, and 12 actions. Joint positions are absolute, unlike Anymal's. The
+    shapes of the arguments are (3 or more, N) and (12, N). `base_height` (N,) and the heights
+    `ground` (140, N) are in m.
     """
     heights = (base_height - _STANDING_M - ground).clamp_(-1.0, 1.0).mul_(cfg.height_scale)
     return torch.cat(
@@ -152,16 +144,10 @@ def compute_anymal_terrain_observations(
 
 
 def compute_air_time(air_time_s: Tensor, on_ground: Tensor, dt: float) -> tuple[Tensor, Tensor]:
-    """Update the air times of feet, and return how much the landing feet exceeded 0.5 s.
+    """Return new air times (F, N) s, and how much the landing feet exceeded 0.5 s in total, (N,) s.
 
-    Args:
-        air_time_s: (F, N) before this step.
-        on_ground: (F, N) bool, in this step.
-        dt: duration of the step (s).
-
-    Returns:
-        New air times (F, N) s, zero on the ground, and the excess (N,) s, summed over the feet that
-        land in this step.
+    `air_time_s` (F, N) is the state before the step, `on_ground` (F, N) bool the contacts in the
+    step, and `dt` the duration of the step (s).
     """
     lands = on_ground & (air_time_s > 0.0)
     air_time_s = air_time_s + dt
@@ -170,44 +156,26 @@ def compute_air_time(air_time_s: Tensor, on_ground: Tensor, dt: float) -> tuple[
 
 
 class WalkStep(NamedTuple):
-    """Quantities that determine the reward of a step.
-
-    Attributes:
-        motion: motion of the base in its frame.
-        commands: (3 or more, N) m/s and rad/s.
-        base_height: (N,) m.
-        dof_offset: (12, N) joint angles relative to the default angles (rad).
-        dof_vel: (12, N) rad/s.
-        last_dof_vel: (12, N) before the step.
-        torques: (12, N) Nm.
-        actions: (12, N).
-        last_actions: (12, N) of the previous step.
-        knees_in_contact: (K, N) bool.
-        foot_forces: (3, F, N) in world axes (N).
-        air_time_beyond_s: (N,) excess from `compute_air_time`.
-    """
+    """Quantities that determine the reward of a step."""
 
     motion: BaseMotion
-    commands: Tensor
-    base_height: Tensor
-    dof_offset: Tensor
-    dof_vel: Tensor
-    last_dof_vel: Tensor
-    torques: Tensor
-    actions: Tensor
-    last_actions: Tensor
-    knees_in_contact: Tensor
-    foot_forces: Tensor
-    air_time_beyond_s: Tensor
+    commands: Tensor  # (3 or more, N) m/s and rad/s
+    base_height: Tensor  # (N,) m
+    dof_offset: Tensor  # (12, N) rad, from the default angles
+    dof_vel: Tensor  # (12, N) rad/s
+    last_dof_vel: Tensor  # (12, N) before the step
+    torques: Tensor  # (12, N) Nm
+    actions: Tensor  # (12, N)
+    last_actions: Tensor  # (12, N) of the previous step
+    knees_in_contact: Tensor  # (K, N) bool
+    foot_forces: Tensor  # (3, F, N) N, in world axes
+    air_time_beyond_s: Tensor  # (N,) see `compute_air_time`
 
 
 def compute_anymal_terrain_reward(step: WalkStep, cfg: TerrainLearnConfig, dt: float) -> Terms:
     """Return the reward terms (N,) by IsaacGymEnvs' names.
 
-    Args:
-        step: see `WalkStep`.
-        cfg: reward weights per second.
-        dt: time of a control step (s).
+    The weights of `cfg` are per second, and `dt` is the time of a control step (s).
     """
     motion = step.motion
     along, turning = compute_tracking_rewards(step.commands, motion)

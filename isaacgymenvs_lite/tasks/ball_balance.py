@@ -3,10 +3,10 @@
 The task keeps two quirks: the three sensors are observed component by component, and of the forces
 only the x component is observed.
 
-Two things differ. MuJoCo has no counterpart of Isaac Gym's force sensors. The three sensors measure
-the contact force and torque on the tray instead, in its frame and about three of its points,
-without the forces of legs and joints. The feet are pinned to the ground and do not collide with it.
-The ball has no angular damping.
+MuJoCo has no counterpart of Isaac Gym's force sensors. The three sensors measure the contact force
+and torque on the tray instead, in its frame and about three points. They exclude the forces of legs
+and joints. The feet are pinned to the ground and do not collide with it. The ball has no angular
+damping.
 """
 
 from __future__ import annotations
@@ -59,16 +59,9 @@ def compute_bbot_observations(
 ) -> Tensor:
     """Return the observations (N, 24).
 
-    They are joint positions, joint velocities, position and velocity of the ball, and the sensors'
-    forces along x, torques about x, about y, and about z, divided by 20.
-
-    Args:
-        dof_pos: (N, 3) rad, driven joints.
-        dof_vel: (N, 3) rad/s.
-        ball_pos: (N, 3) m.
-        ball_vel: (N, 3) m/s.
-        sensor_force_x: (3, N) N, sensor by sensor, in the tray's frame.
-        sensor_torques: (3, 3, N) Nm, component by component, then sensor by sensor.
+    First come positions (rad) and velocities (rad/s) of the driven joints, and position (m) and
+    velocity (m/s) of the ball, (N, 3) each. Then come the sensors' forces along x (3, N), and
+    torques (3, 3, N) about x, y and z. They are in the tray's frame and divided by 20.
     """
     sensors = torch.cat((sensor_force_x, sensor_torques.flatten(0, 1))).t()
     return torch.cat((dof_pos, dof_vel, ball_pos, ball_vel, sensors * _SENSOR_SCALE), dim=-1)
@@ -79,10 +72,6 @@ def compute_bbot_reward(ball_pos: Tensor, ball_vel: Tensor) -> Terms:
 
     `near` is the reward of a ball at rest and is largest on the axis, 0.7 m above the ground.
     `speed` is the reduction by the ball's speed.
-
-    Args:
-        ball_pos: (N, 3) m.
-        ball_vel: (N, 3) m/s.
     """
     x, y, z = ball_pos.unbind(-1)
     near = 1.0 / (1.0 + torch.sqrt(x * x + y * y + (z - _PAID_HEIGHT_M).square()))
@@ -115,9 +104,6 @@ class BallBalance(MjcfTask):
     """N trays with balls, 24 observations and 3 actions.
 
     An action is the speed of the position target of a lower leg's joint.
-
-    Attributes:
-        targets: (N, 3) position targets (rad), which persist between steps.
     """
 
     settings_class = BallBalanceConfig
@@ -150,7 +136,7 @@ class BallBalance(MjcfTask):
     def allocate_buffers(self) -> None:
         """Add the position targets."""
         super().allocate_buffers()
-        self.targets = torch.zeros(self.num_envs, self.num_actions, device=self.device)
+        self.targets = torch.zeros(self.num_envs, self.num_actions, device=self.device)  # rad
 
     def compute_controls(self, actions: Tensor) -> Tensor:
         """Return the position targets (N, 3) in rad, moved by the actions."""

@@ -45,12 +45,7 @@ def compute_cartpole_reward(
 ) -> Terms:
     """Return the reward terms (N,): upright and slow, or a failure.
 
-    Args:
-        pole_angle: (N,) rad, 0 is upright.
-        pole_vel: (N,) rad/s.
-        cart_vel: (N,) m/s.
-        cart_pos: (N,) m.
-        reset_dist: the setting `resetDist` (m).
+    Quantities (N,) are in rad, rad/s, m/s and m; a pole angle of 0 is upright.
     """
     terms = {
         "upright": 1.0 - pole_angle.square(),

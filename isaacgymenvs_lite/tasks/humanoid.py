@@ -57,20 +57,13 @@ def compute_humanoid_observations(
 ) -> Tensor:
     """Return the observations (N, 108).
 
-    They are height, velocities in the torso frame, yaw, roll and angle to the target within +-pi,
-    `up_proj`, `heading_proj`, 21 joint positions scaled to [-1, 1], 21 joint velocities, 21 joint
-    torques, 2 x 6 contact forces and torques on the feet, and 21 actions.
+    First come height, velocities in the torso frame, yaw, roll and angle to the target within +-pi,
+    `up_proj` and `heading_proj`. Then come 21 joint positions scaled to [-1, 1], 21 joint
+    velocities, 21 joint torques, 2 x 6 contact forces and torques on the feet, and 21 actions.
 
-    Args:
-        torso: see `compute_torso_state`.
-        dof_pos: (N, 21) rad.
-        dof_vel: (N, 21) rad/s.
-        dof_forces: (N, 21) Nm, including springs and dampers.
-        lower: (21,) rad.
-        upper: (21,) rad.
-        foot_wrenches: (12, N) N and Nm, right then left foot, in the foot frames.
-        actions: (N, 21) of the last step.
-        cfg: the scales.
+    Joint quantities are (N, 21) in rad, rad/s and Nm, their limits (21,). The torques include
+    springs and dampers. The foot wrenches (12, N) are in N and Nm, right then left foot, in the
+    foot frames.
     """
     angles = normalize_angle(torch.stack((torso.yaw, torso.roll, torso.angle_to_target)))
     return torch.cat(
@@ -101,14 +94,9 @@ def compute_humanoid_reward(
 ) -> Terms:
     """Return the reward terms (N,).
 
-    Args:
-        torso: see `compute_torso_state`.
-        progress_m_s: (N,) speed towards the target.
-        actions: (N, 21).
-        dof_pos_share: (N, 21) joint positions, scaled from their ranges to [-1, 1].
-        dof_vel_scaled: (N, 21) joint velocities times dofVelocityScale.
-        motor_effort_ratio: (21,) torque of a full action, divided by the largest of these torques.
-        cfg: weights and costs.
+    `progress_m_s` (N,) is the speed towards the target. Joint quantities are (N, 21), scaled as in
+    the observation. `motor_effort_ratio` (21,) is the torque of a full action, divided by the
+    largest of these torques.
     """
     # 0 at 98% of the range, 1 at the limit.
     at_limit = ((dof_pos_share.abs() - _AT_LIMIT) / (1.0 - _AT_LIMIT)).clamp(min=0.0)

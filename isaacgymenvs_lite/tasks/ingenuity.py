@@ -1,8 +1,7 @@
 """Ingenuity: a helicopter on Mars flies to targets with two rotors, as in IsaacGymEnvs.
 
 The task keeps two quirks. Rotors can also pull down. A new target may be farther away than the
-distance that ends an episode, and then the episode ends in its first step or when the target
-changes.
+distance that ends an episode, and then the episode ends at once.
 
 Three things differ. Gravity is the task file's -3.721 m/s^2, which IsaacGymEnvs does not read. The
 rotors are fixed to the chassis and do not turn. There is no marker at the target.
@@ -46,10 +45,7 @@ def compute_ingenuity_forces(actions: Tensor, dt: float) -> Tensor:
     """Return the forces (N, 6) on two rotors (N), x, y, z each, in rotor axes.
 
     A full action pushes up with 2000 dt. Lateral forces are at most 0.2 of the vertical force.
-
-    Args:
-        actions: (N, 6), x, y, z of each rotor.
-        dt: time of a simulator call (s).
+    `actions` (N, 6) have the same order, and `dt` is the time of a simulator call (s).
     """
     rotors = actions.reshape(len(actions), 2, 3)
     up = rotors[..., 2:].clamp(-1.0, 1.0) * (_THRUST_N_PER_S * dt)
@@ -71,10 +67,8 @@ def draw_targets(env_ids: Tensor) -> Tensor:
 class Ingenuity(HoverTask):
     """N helicopters with 13 observations and 6 actions.
 
-    See `compute_flight_observations` and `compute_ingenuity_forces`.
-
-    Attributes:
-        target_pos: (N, 3) m; it changes at every reset and every 500 steps of an episode.
+    A target changes at every reset and every 500 steps of an episode. See
+    `compute_flight_observations` and `compute_ingenuity_forces`.
     """
 
     settings_class = IngenuityConfig

@@ -4,8 +4,8 @@ The task keeps two quirks: one full action moves a thrust from zero to its maxim
 are not observed.
 
 The hinge drives have a stiffness of 1000 Nm/rad and no damping. Implicit integration makes them
-stable (see `drives`), which means an armature of 0.025 kg m^2 and a damping of 5 Nm s/rad in steps
-of 0.005 s. A hinge reaches its target in one step.
+stable, see `drives`. It adds an armature of 0.025 kg m^2 and a damping of 5 Nm s/rad in steps of
+0.005 s. A hinge reaches its target in one step.
 """
 
 from __future__ import annotations
@@ -46,10 +46,6 @@ class Quadcopter(HoverTask):
 
     The observations are `compute_flight_observations` and the positions of the 8 hinges (rad). The
     actions are the speeds of the 8 hinge targets and of the 4 thrusts.
-
-    Attributes:
-        targets: (N, 8) position targets of the hinges (rad), which persist between steps.
-        thrusts: (N, 4) N, along the rotors' z axes, which persist between steps.
     """
 
     settings_class = HoverConfig
@@ -74,8 +70,8 @@ class Quadcopter(HoverTask):
     def allocate_buffers(self) -> None:
         """Add position targets and thrusts."""
         super().allocate_buffers()
-        self.targets = torch.zeros(self.num_envs, _NUM_HINGES, device=self.device)
-        self.thrusts = torch.zeros(self.num_envs, _NUM_ROTORS, device=self.device)
+        self.targets = torch.zeros(self.num_envs, _NUM_HINGES, device=self.device)  # rad
+        self.thrusts = torch.zeros(self.num_envs, _NUM_ROTORS, device=self.device)  # N, along z
 
     def compute_controls(self, actions: Tensor) -> Tensor:
         """Return position targets (rad) and thrusts (N), (N, 12), moved by the actions."""

@@ -1,4 +1,4 @@
-"""The keys of `task.env` in cfg/task/HumanoidAMP.yaml, with their checks."""
+"""Settings of HumanoidAMP; cfg/task/HumanoidAMP.yaml describes the keys."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FEET = ("right_foot", "left_foot")
 
 @dataclass(frozen=True, kw_only=True)
 class HumanoidAMPConfig(TaskConfig):
-    """`task.env` of HumanoidAMP; keys and meanings as IsaacGymEnvs unless said."""
+    """`task.env` of HumanoidAMP: IsaacGymEnvs' keys and this project's."""
 
     episode_length: int = setting(300, key="episodeLength", minimum=2)
     pd_control: bool = setting(True, key="pdControl")

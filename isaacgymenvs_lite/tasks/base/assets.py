@@ -94,12 +94,8 @@ def compile_spec(
 ) -> mujoco.MjModel:
     """Compile a specification with the task's time step, gravity and friction.
 
-    Args:
-        spec: contents of the file at `path`, possibly changed.
-        path: the file, for messages.
-        sim: `task.sim`.
-        dynamic_friction: coefficient of sliding friction with the geom `floor`, if there is one.
-        change: changes the specification before it is compiled.
+    `spec` holds the contents of the file at `path`, and `change` is applied to it first.
+    `dynamic_friction` is the coefficient of sliding friction with the geom `floor`.
 
     Raises:
         ConfigError: MuJoCo cannot compile the specification.

@@ -1,7 +1,7 @@
 """Implicit integration of position drives, as in PhysX, for stiff drives and closed chains.
 
-PhysX applies a drive of stiffness k and damping d to the state after a step of length h. With that
-state q' = q + h v' the momentum of the joint is
+PhysX applies a drive of stiffness k and damping d to the state after a step of length h. The
+position after the step is q' = q + h v', and the momentum of the joint is
 
     (I + h d + h^2 k) v' = I v + h k (target - q) + other impulses.
 

@@ -35,9 +35,7 @@ _ANGULAR_VELOCITY_SCALE = 1.0 / math.pi
 def compute_flight_observations(to_target: Tensor, root_states: Tensor) -> Tensor:
     """Return scaled observations (N, 13): vector to the target, rotation xyzw, both velocities.
 
-    Args:
-        to_target: (N, 3) m, in world axes.
-        root_states: (N, 13) of the body.
+    `to_target` (N, 3) is in m, in world axes.
     """
     return torch.cat(
         (
@@ -55,11 +53,8 @@ def compute_hover_reward(
 ) -> Terms:
     """Return the reward terms (N,); being upright and not spinning counts near the target only.
 
-    Args:
-        to_target: (N, 3) m.
-        root_rot: (N, 4) xyzw.
-        spin: (N,) angular velocity about the vertical (rad/s).
-        upright_weight: largest reward of being upright.
+    `to_target` (N, 3) is in m, `root_rot` (N, 4) is xyzw. `spin` (N,) is the angular velocity about
+    the vertical (rad/s), and `upright_weight` the largest reward of being upright.
     """
     near = 1.0 / (1.0 + to_target.square().sum(-1))
     x, y = root_rot[:, 0], root_rot[:, 1]

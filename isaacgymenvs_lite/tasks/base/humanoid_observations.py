@@ -1,6 +1,6 @@
 """Pure functions of the AMP humanoid: observations, early termination and PD targets.
 
-The formulas are those of IsaacGymEnvs' HumanoidAMP and of ASE (Peng et al. 2022, arXiv 2205.01906).
+The formulas come from IsaacGymEnvs' HumanoidAMP and from ASE (Peng et al. 2022, arXiv 2205.01906).
 There are N environments, B bodies with the root first, D degrees of freedom, and K key bodies.
 """
 
@@ -225,12 +225,10 @@ def compute_humanoid_reset(
     enable_early_termination: bool,
     termination_height: float | Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Return which episodes end, and which of them by a fall, with IsaacGymEnvs' arguments.
+    """Return which episodes end, and which of them by a fall: reset (N,) and terminated (N,).
 
-    See `compute_humanoid_falls`. Only the dtype of `reset_buf` (N,) is used.
-
-    Returns:
-        reset (N,) and terminated (N,), 0 or 1, with the dtype of `reset_buf`.
+    The arguments are IsaacGymEnvs', see `compute_humanoid_falls`. Only the dtype of `reset_buf`
+    (N,) is used, for the results.
     """
     timed_out = progress_buf >= max_episode_length - 1
     if not enable_early_termination:
@@ -249,11 +247,8 @@ def pd_action_offset_scale(
     The targets of a hinge reach 0.7 times its range to either side of the middle. A 3-DoF joint has
     offset 0. Its scale is pi in IsaacGymEnvs, and in ASE 1.2 times its largest limit, at most pi.
 
-    Args:
-        dof_lower: (D,) limits in rad, swapped where lower > upper.
-        dof_upper: (D,) limits in rad.
-        dof_offsets: first degree of freedom of each joint, followed by D.
-        as_ase: True selects ASE's scale.
+    The limits (D,) in rad are swapped where lower > upper. `dof_offsets` is described in
+    `dof_to_obs`.
     """
     low, high = torch.minimum(dof_lower, dof_upper), torch.maximum(dof_lower, dof_upper)
     offset = 0.5 * (low + high)

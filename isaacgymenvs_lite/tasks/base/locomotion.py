@@ -76,7 +76,7 @@ def compute_torso_state(root_states: Tensor) -> TorsoState:
     velocities = torch.stack(rotate_components((-x, -y, -z, w), velocities_w), dim=1)
     xx, yy, zz, ww = x * x, y * y, z * z, w * w
     sin_yaw = 2.0 * (x * y + w * z)
-    # The formulas are those of `get_euler_xyz`.
+    # `get_euler_xyz` has the same formulas.
     roll = torch.atan2(2.0 * (w * x + y * z), ww - xx - yy + zz) % math.tau
     yaw = torch.atan2(sin_yaw, ww + xx - yy - zz) % math.tau
     to_x, to_y = _TARGET_X_M - px, -py
@@ -115,12 +115,8 @@ def running_terms(
 ) -> Terms:
     """Return the reward terms (N,) that Ant and Humanoid share.
 
-    Args:
-        torso: see `compute_torso_state`.
-        progress_m_s: (N,) speed towards the target.
-        actions: (N, A).
-        alive: constant reward of every step.
-        cfg: weights and costs.
+    `progress_m_s` (N,) is the speed towards the target, and `alive` a constant reward of every
+    step.
     """
     return {
         "progress": progress_m_s,

@@ -23,29 +23,19 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 class MjcfTask(VecTask):
     """N simulations of an MJCF file, with checked settings.
 
-    A task declares the attributes below and implements the methods of `VecTask`.
-
-    Args:
-        cfg: cfg/task/<Task>.yaml as plain dictionaries.
-        args: the other arguments of `VecTask`.
-        kwargs: the other arguments of `VecTask`, by name.
-
-    Attributes:
-        settings_class: dataclass of the keys of `task.env`.
-        default_asset: path of the task's MJCF, relative to assets/.
-        published_assets: model names in published task files, which mean the task's MJCF.
-        num_observations: dimension of an observation.
-        num_actions: dimension of an action.
-        env_cfg: the keys of `task.env`, an object of `settings_class`.
-        sim_cfg: the keys of `task.sim`.
+    `cfg` is cfg/task/<Task>.yaml as plain dictionaries, and `VecTask` describes the other
+    arguments. A task declares the attributes below and implements the methods of `VecTask`.
 
     Raises:
         ConfigError: a key or value of `task.env` or `task.sim` is invalid.
     """
 
     settings_class: ClassVar[type[TaskConfig]] = TaskConfig
+    """Dataclass of the keys of `task.env`."""
     default_asset: ClassVar[str]
+    """Path of the task's MJCF, relative to assets/."""
     published_assets: ClassVar[tuple[str, ...]] = ()
+    """Model names in published task files, which mean the task's MJCF."""
     _spec: mujoco.MjSpec | None = None
 
     def __init__(self, cfg: dict[str, Any], *args: Any, **kwargs: Any) -> None:

@@ -103,32 +103,23 @@ class RobotState(NamedTuple):
 
 
 class RobotDescription(NamedTuple):
-    """Data that an exported policy needs in addition to the model and `ActionScaling`.
+    """Data that an exported policy needs in addition to the model and `ActionScaling`."""
 
-    Attributes:
-        default: the default pose, at rest.
-        start: a state in which a training episode can start.
-        key_bodies: names of the bodies in the observation part `key_body_pos`, in order.
-        frames: frame of each observation part. `heading` means the world axes, turned about z until
-            the base faces +x. The others are `world`, `base` and `joint`.
-    """
-
-    default: RobotState
-    start: RobotState
-    key_bodies: tuple[str, ...]
+    default: RobotState  # at rest
+    start: RobotState  # start of an episode
+    key_bodies: tuple[str, ...]  # bodies in the observation part `key_body_pos`
     frames: dict[str, str]
+    """Frame of each observation part: `world`, `base`, `joint`, or `heading`, which is the world
+    frame, turned about z until the base faces +x."""
 
 
 class Env(Stateful):
     """Sizes, clip limits, devices and spaces of a task, from its configuration.
 
-    Args:
-        config: cfg/task/<Task>.yaml as plain dictionaries. Its `env` also holds `numObservations`,
-            `numActions` and, for an asymmetric critic, `numStates`.
-        rl_device: torch device of the tensors that `step` and `reset` return.
-        sim_device: accepted as in IsaacGymEnvs; the physics always runs on the CPU.
-        graphics_device_id: index of the rendering device, -1 for none.
-        headless: True: the task opens no window.
+    `config` is cfg/task/<Task>.yaml as plain dictionaries. Its `env` also holds `numObservations`,
+    `numActions` and, for an asymmetric critic, `numStates`. `step` and `reset` return tensors on
+    `rl_device`. The physics runs on the CPU, whatever `sim_device` is. `graphics_device_id` is -1
+    without a rendering device.
 
     Raises:
         ConfigError: a size is missing or impossible.
@@ -257,8 +248,8 @@ class VecTask(Env):
     starts_before_physics: ClassVar[bool] = False
     """True: a step starts episodes before its physics; see the module docstring."""
     zero_action_at_reset: ClassVar[bool] = False
-    """With `starts_before_physics`: the step that starts an episode ignores its action, which was
-    chosen for the last state of the previous episode."""
+    """True: the step that starts an episode ignores its action, which was chosen for the last state
+    of the previous episode. It needs `starts_before_physics`."""
     agents_call_reset_done: ClassVar[bool] = False
     """True: agents call `reset_done` before each step, so that the first action of an episode
     belongs to its first observation. `reset_idx` observes. `RLGPUEnv` calls it for other agents."""
@@ -324,9 +315,8 @@ class VecTask(Env):
     def compute_states(self, env_ids: Tensor | None, observations: Tensor) -> Tensor:
         """Return the privileged observations (n, numStates) of an asymmetric critic.
 
-        Args:
-            env_ids: (n,) environments; None: all.
-            observations: (n, numObs) without noise, which the method returns by default.
+        `env_ids` (n,) is None for all environments. `observations` (n, numObs) have no noise, and
+        the method returns them by default.
         """
         return observations
 
@@ -353,7 +343,7 @@ class VecTask(Env):
     def on_key(self, key: str) -> None:
         """React to a key press in a viewer, between two steps; by default do nothing.
 
-        A held key counts once. At most 20 keys a second arrive.
+        A held key counts once. A viewer sends at most 20 keys a second.
 
         Args:
             key: `up`, `down`, `left`, `right`, `space`, a lower-case letter, or a digit. The window

@@ -126,9 +126,8 @@ def compute_base_motion(root_states: Tensor) -> BaseMotion:
 def compute_tracking_rewards(commands: Tensor, motion: BaseMotion) -> tuple[Tensor, Tensor]:
     """Return rewards (N,) in (0, 1] for tracking the commanded velocity and yaw rate.
 
-    Args:
-        commands: (3 or more, N) velocity along x and y of the base (m/s), yaw rate (rad/s).
-        motion: motion of the base, see `compute_base_motion`.
+    `commands` (3 or more, N) are velocities along x and y of the base (m/s), and the yaw rate
+    (rad/s).
     """
     return tracking_kernels(commands[:2] - motion.lin_vel[:2], commands[2] - motion.ang_vel[2])
 
@@ -169,12 +168,8 @@ def proprioception(
 ) -> tuple[Tensor, ...]:
     """Return scaled base motion, commands, joint positions and joint velocities, (3 to D, N) each.
 
-    Args:
-        motion: motion of the base in its frame.
-        commands: (3 or more, N) m/s and rad/s.
-        dof_pos: (D, N) rad.
-        dof_vel: (D, N) rad/s.
-        cfg: the scales.
+    `commands` (3 or more, N) are in m/s and rad/s, `dof_pos` (D, N) in rad, `dof_vel` (D, N) in
+    rad/s.
     """
     return (
         motion.lin_vel * cfg.lin_vel_scale,

@@ -19,8 +19,7 @@ def measure_wrenches(simulation: SimulationBackend, bodies: Sequence[str]) -> Te
     """Return the contact forces and torques (6, K, N) on K bodies; see `body_wrenches`.
 
     The model needs the sensors `wrench_<body>`, `position_<body>`, `xaxis_<body>`, `yaxis_<body>`
-    and `zaxis_<body>` of every body. The frames are those of the force measurement, at the start of
-    the last physics step.
+    and `zaxis_<body>` of every body. They measure at the start of the last physics step.
     """
     contacts = [f"wrench_{body}" for body in bodies]
     frames = [f"{what}_{body}" for body in bodies for what in _FRAME_SENSORS]
@@ -56,9 +55,7 @@ def body_wrenches(contacts: Tensor, body_pos: Tensor, body_axes: Tensor) -> Tens
 def torques_about(wrench: Tensor, points: Tensor) -> Tensor:
     """Return the torques (3, P, N) about P points, of one force and torque (6, N) on a body.
 
-    Args:
-        wrench: (6, N) N and Nm, about the origin of the frame that the points are in.
-        points: (P, 3) m.
+    The points (P, 3) m are in the frame of `wrench`, which is in N and Nm about the frame's origin.
     """
     force, torque = wrench[:3, None], wrench[3:, None]
     levers = cross_components(points.t()[..., None].unbind(), force.unbind())

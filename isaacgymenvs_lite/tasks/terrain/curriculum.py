@@ -24,12 +24,8 @@ def next_levels(
     the commanded distance moves down. If both hold, it stays. Level 0 is the lowest, and level 0
     follows the last level.
 
-    Args:
-        levels: (n,) int64.
-        distances_m: (n,) from the middle of the tile, over the ground.
-        commanded_m: (n,) commanded speed times the episode length.
-        tile_length_m: length of a tile along x.
-        num_levels: number of levels.
+    `distances_m` (n,) are measured over the ground from the middle of the tile. `commanded_m` (n,)
+    is the commanded speed times the episode length.
     """
     up = (distances_m > tile_length_m / 2.0).long()
     down = (distances_m < _DEMOTED_SHARE * commanded_m).long()
@@ -37,20 +33,10 @@ def next_levels(
 
 
 class Curriculum(Stateful):
-    """Levels and types of N robots' tiles.
+    """Levels and types of N robots' tiles, `levels` and `types` (N,) int64.
 
     With `demotionAsPublished`, each robot's distance is compared with the norm of the commands of
     all robots that start at the same time, as in IsaacGymEnvs. More robots then go back a level.
-
-    Args:
-        cfg: `task.env.terrain`.
-        terrain: the ground.
-        num_envs: N.
-        device: device of the tensors.
-
-    Attributes:
-        levels: (N,) int64.
-        types: (N,) int64.
     """
 
     stored = ("levels", "types")
@@ -61,7 +47,7 @@ class Curriculum(Stateful):
         self._cfg = cfg
         self._origins = torch.from_numpy(terrain.origins).float().to(device)
         num_levels, num_types = self._origins.shape[:2]
-        # Without a curriculum all levels are equally hard.
+        # All levels are equally hard without a curriculum.
         highest = cfg.max_init_level if cfg.curriculum else num_levels - 1
         highest = min(highest, num_levels - 1)
         self.levels = torch.randint(highest + 1, (num_envs,), device=device)
@@ -74,13 +60,10 @@ class Curriculum(Stateful):
     def update(
         self, env_ids: Tensor, root_pos: Tensor, command: Tensor, episode_length_s: float
     ) -> None:
-        """Move robots whose episode ended to their next level.
+        """Move robots (n,) whose episode ended to their next level.
 
-        Args:
-            env_ids: (n,).
-            root_pos: (n, 3) m.
-            command: (n, 2) commanded velocity (m/s).
-            episode_length_s: duration of the longest episode.
+        `root_pos` (n, 3) is in m, `command` (n, 2) is the commanded velocity (m/s), and
+        `episode_length_s` is the duration of the longest episode.
         """
         if not self._cfg.curriculum or len(env_ids) == 0:
             return

@@ -44,7 +44,7 @@ def samples_of(length_m: float) -> int:
 
 def units_of(height_m: float) -> int:
     """Return a height (m) in whole units, rounded towards zero."""
-    # In floating point, 0.085 / 0.005 is less than 17.
+    # Rounding is needed, because 0.085 / 0.005 is less than 17 in floating point.
     return int(round(height_m / VERTICAL_M, 6))
 
 
@@ -52,12 +52,8 @@ def pyramid_slope(size: Size, slope: float, platform_m: float) -> Samples:
     """Return a pyramid with a flat top, or for a negative slope a pit with a flat bottom.
 
     The height is the product of a tent in x and a tent in y, cut off at the corners of the
-    platform.
-
-    Args:
-        size: samples in x and y.
-        slope: rise over run along the middle of the tile, whose edge has height 0.
-        platform_m: side of the flat square in the middle.
+    platform. `slope` is the rise over run along the middle of the tile, whose edge has height 0.
+    `platform_m` is the side of the flat square.
     """
     center = (size[0] // 2, size[1] // 2)
     tent_x, tent_y = (
@@ -76,11 +72,7 @@ def pyramid_stairs(
 ) -> Samples:
     """Return square steps that rise towards the middle, or sink for a negative height.
 
-    Args:
-        size: samples in x and y.
-        step_width_m: width of a step.
-        step_height_m: height difference between steps; the outermost step has height 0.
-        platform_m: steps are added while the middle is wider than this.
+    The outermost step has height 0. Steps are added while the middle is wider than `platform_m`.
     """
     width, platform = samples_of(step_width_m), samples_of(platform_m)
     rise = units_of(step_height_m)
@@ -100,15 +92,10 @@ def discrete_obstacles(
     count: int,
     platform_m: float,
 ) -> Samples:
-    """Return rectangles of four heights on a plane, with a free square in the middle.
+    """Return `count` rectangles on a plane, with a free square of side `platform_m` in the middle.
 
-    Args:
-        size: samples in x and y.
-        rng: draws places, sides and heights.
-        max_height_m: h; the heights are h, h / 2, -h / 2 and -h.
-        sides_m: shortest and longest side of a rectangle.
-        count: number of rectangles; later ones overwrite earlier ones.
-        platform_m: side of the free square.
+    The heights are `max_height_m` h, h / 2, -h / 2 and -h. `sides_m` are the shortest and the
+    longest side. Later rectangles overwrite earlier ones.
     """
     top = units_of(max_height_m)
     choices = (-top, -(top // 2), top // 2, top)
@@ -128,12 +115,7 @@ def stepping_stones(
 ) -> Samples:
     """Return rows of square stones at height 0 along y, with holes of 10 m between them.
 
-    Args:
-        size: samples in x and y.
-        rng: draws the end of the first stone in each row.
-        stone_m: side of a stone.
-        gap_m: gap between stones.
-        platform_m: side of the square without holes in the middle.
+    `rng` draws where the first stone in each row ends. The square in the middle has no holes.
     """
     stone, gap = samples_of(stone_m), samples_of(gap_m)
     period = stone + gap
@@ -150,12 +132,7 @@ def roughness(
 ) -> Samples:
     """Return random heights on a coarse grid, interpolated linearly, to be added to a tile.
 
-    Args:
-        size: samples in x and y.
-        rng: draws the heights.
-        amplitude_m: the heights are between -amplitude_m and amplitude_m.
-        step_m: the heights are multiples of this.
-        spacing_m: spacing of the coarse grid.
+    The heights are multiples of `step_m` between -`amplitude_m` and `amplitude_m`.
     """
     top, step = units_of(amplitude_m), units_of(step_m)
     coarse_size = [max(2, n // samples_of(spacing_m)) for n in size]
@@ -202,18 +179,14 @@ class TerrainConfig(PlaneConfig):
 
 @dataclass(frozen=True)
 class Terrain:
-    """Ground of X x Y samples with L levels of T types.
-
-    Attributes:
-        samples: (X, Y) int16, in units of 0.005 m.
-        origins: (L, T, 3) float64 middles of the tiles (m), at the height of the highest sample
-            nearby.
-        border_m: the first sample is at (-border_m, -border_m).
-    """
+    """Ground of X x Y samples with L levels of T types."""
 
     samples: Samples
+    """(X, Y) in units of 0.005 m."""
     origins: npt.NDArray[np.float64]
+    """(L, T, 3) middles of the tiles (m), at the height of the highest sample nearby."""
     border_m: float
+    """The first sample is at (-border_m, -border_m)."""
 
 
 def make_terrain(cfg: TerrainConfig, rng: np.random.Generator) -> Terrain:
@@ -255,7 +228,7 @@ def _graded_tile(
     cfg: TerrainConfig, size: Size, rng: np.random.Generator, difficulty: float, choice: float
 ) -> Samples:
     """Return the tile of a difficulty in [0, 1) and of the type at `choice` in [0, 1)."""
-    # In floating point, 0.1 + 0.1 + 0.35 is above 0.55.
+    # Rounding is needed, because 0.1 + 0.1 + 0.35 is above 0.55 in floating point.
     ends = np.cumsum(cfg.proportions).round(9)
     step_m = 0.05 + 0.175 * difficulty
     if choice < ends[1]:

@@ -36,11 +36,9 @@ class HeightScan:
         self._points = scan_points().to(device)[..., None]
 
     def __call__(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
-        """Return the ground heights (140, N) in m.
+        """Return the ground heights (140, N) in m around robots at `root_pos` (N, 3) m.
 
-        Args:
-            root_pos: (N, 3) world position (m).
-            root_rot: (N, 4) xyzw, of which only z and w are used, as a rotation about z.
+        Of `root_rot` (N, 4) xyzw only z and w are used, as a rotation about z.
         """
         z, w = root_rot[:, 2], root_rot[:, 3]
         length = (z * z + w * w).clamp(min=1e-12)
