@@ -69,9 +69,9 @@ _YAW_RATE, _HEADING = 2, 3
 class AnymalTerrain(VelocityTrackingTask):
     """N robots with 188 observations and 12 joint position targets.
 
-    All environments share one ground, which determines the positions of the simulation. If episodes
-    end in a step, `infos["episode"]` holds the mean of each reward term per second of the longest
-    episode, `rew_<term>`. It also holds the mean level of all robots, `terrain_level`.
+    All environments share one ground and one world frame. If episodes end in a step,
+    `infos["episode"]` holds the mean of each reward term per second of the longest episode,
+    `rew_<term>`. It also holds the mean level of all robots, `terrain_level`.
 
     Attributes:
         terrain: the ground.

@@ -85,8 +85,8 @@ class AnymalTerrainConfig(VelocityTrackingConfig):
 
     clip_actions: float = setting(float("inf"), key="clipActions", above=0)
     terrain: TerrainConfig = field(default_factory=TerrainConfig)
-    command_ranges: HeadingCommandsConfig = field(
-        default_factory=HeadingCommandsConfig, metadata={"key": "randomCommandVelocityRanges"}
+    command_ranges: HeadingCommandsConfig = setting(
+        HeadingCommandsConfig(), key="randomCommandVelocityRanges"
     )
     control: TerrainControlConfig = field(default_factory=TerrainControlConfig)
     learn: TerrainLearnConfig = field(default_factory=TerrainLearnConfig)

@@ -1,4 +1,4 @@
-"""The registry of tasks: this package's, those that a program registers, and installed ones."""
+"""Registry of the tasks of this package, of programs and of installed packages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 TaskMaker = Callable[..., VecTask]
 
 isaacgym_task_map: dict[str, TaskMaker] = {}
-"""Maker of each task by the `name` in its task file."""
+"""Class or function that makes each task, by the `name` in its task file."""
 
 
 def register_task(name: str, task: TaskMaker, *, replace: bool = False) -> None:
@@ -48,7 +48,7 @@ def is_task(name: str) -> bool:
 
 
 def find_task(name: str) -> TaskMaker:
-    """Return the maker of a task, and import it if an installed package offers it.
+    """Return the class or function that makes a task; import it from an installed package.
 
     Raises:
         ConfigError: there is no such task, or its package cannot be imported.

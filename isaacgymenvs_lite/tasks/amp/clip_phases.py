@@ -170,7 +170,7 @@ class ClipPhases(Stateful):
         # The mean duration of ended episodes, and its maximum so far.
         self._mean_steps = torch.zeros((), device=device)
         self._longest_mean = torch.zeros((), device=device)
-        # 1 means the wide limits, 0 the narrow ones. It never rises.
+        # 1 selects the wide limits, 0 the narrow limits. The value never rises.
         self._eased = 1.0
 
     @classmethod
@@ -184,8 +184,8 @@ class ClipPhases(Stateful):
     ) -> ClipPhases:
         """Return the phases of a task's episodes and clips.
 
-        `standing_m` is the root height in standing, on which the distance limits of `config`
-        depend.
+        `standing_m` is the root height of a standing character. The limits in `config` are shares
+        of it.
         """
         clips, root_states = [], []
         for motion_id in range(motions.lib.num_motions()):

@@ -30,7 +30,7 @@ from isaacgymenvs_lite.tasks.base.humanoid_observations import (
 )
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
-from isaacgymenvs_lite.tasks.base.vec_task import Done, RobotState
+from isaacgymenvs_lite.tasks.base.vec_task import Done, RobotDescription, RobotState
 from isaacgymenvs_lite.tasks.goals.boxes import damp_objects
 from isaacgymenvs_lite.tasks.goals.goal import Goal
 
@@ -309,7 +309,9 @@ class HumanoidAMP(HumanoidAMPBase):
             ended = (self.done_buf != Done.RUNNING) & (self._starts.clips >= 0)
             env_ids = ended.nonzero().flatten()
             failed = self.done_buf[env_ids] == Done.FAILED
-            self._starts.count_ended(env_ids, self.progress_buf[env_ids], failed)
+            adaptive, starts = self._starts.adaptive, self._starts
+            bins = adaptive.bins_of(starts.clips[env_ids], starts.times_s[env_ids])
+            adaptive.count(bins, self.progress_buf[env_ids], failed)
         newest, history = self.current_amp_features().unsqueeze(1), self._amp_obs_buf
         window = torch.cat((newest, history[:, :-1]), dim=1)
         history.copy_(window)
@@ -403,14 +405,14 @@ class HumanoidAMP(HumanoidAMPBase):
         if len(reference_ids) > 0:
             self.goal.start_in_clip(reference_ids, self._roots_ahead)
 
-    def first_start(self) -> RobotState | None:
-        """Return the start of the first clip; None: episodes start in the default pose."""
+    def robot_description(self) -> RobotDescription:
+        """Return the base description with the start of the first clip, if episodes start there."""
+        description = super().robot_description()
         if self.env_cfg.state_init == "Default":
-            return None
+            return description
         first = torch.zeros(1, dtype=torch.int64, device=self.device)
         states = self._motions.states(first, first.float(), first)
-        root_state, dof_pos, dof_vel = (rows[0] for rows in states[:3])
-        return RobotState(root_state, dof_pos, dof_vel)
+        return description._replace(start=RobotState(*(rows[0] for rows in states[:3])))
 
     def reset(self) -> dict[str, Tensor]:
         """Start all episodes; first discard drawn starts, whose number depends on the past."""
@@ -427,7 +429,7 @@ class HumanoidAMP(HumanoidAMPBase):
     @torch.inference_mode()
     def _start_histories(self, env_ids: Tensor) -> None:
         now = self.current_amp_features(env_ids)
-        # The history of a start without a clip is standing still.
+        # The character stood still before a start without a clip.
         standing = now.unsqueeze(1).expand(-1, self.env_cfg.num_amp_obs_steps, -1)
         self._amp_obs_buf.index_copy_(0, env_ids, standing)
         if len(self._reference_env_ids) > 0:

@@ -64,9 +64,9 @@ CharacterState = tuple[Tensor, Tensor, Tensor, Tensor]
 class HumanoidAMPBase(MjcfTask):
     """N humanoids with PD targets or torques as actions: 105 observations, 28 actions.
 
-    docs/amp.md lists the differences from IsaacGymEnvs. Falls count contact forces in any
-    direction. The observation after a reset describes the new state. The default pose is the zero
-    pose; IsaacGymEnvs' default pose crosses the arms.
+    docs/amp.md lists the differences from IsaacGymEnvs. A contact force in any direction can mean a
+    fall. The observation after a reset describes the new state. The default pose is the zero pose,
+    while IsaacGymEnvs' default pose crosses the arms.
     """
 
     settings_class = HumanoidAMPConfig
@@ -118,12 +118,7 @@ class HumanoidAMPBase(MjcfTask):
         """Return default pose, start, key bodies, and frames of the observation parts."""
         root_state, dof_pos = self.default_pose()
         default = RobotState(root_state, dof_pos, torch.zeros_like(dof_pos))
-        start = self.first_start() or default
-        return RobotDescription(default, start, self.key_body_names(), self.observation_frames())
-
-    def first_start(self) -> RobotState | None:
-        """Return a state in which episodes start; None: the default pose."""
-        return None
+        return RobotDescription(default, default, self.key_body_names(), self.observation_frames())
 
     def observation_frames(self) -> dict[str, str]:
         """Return the frames of the observation parts."""
@@ -147,7 +142,15 @@ class HumanoidAMPBase(MjcfTask):
         self.contact_body_ids = self._body_ids("contactBodies", self.contact_body_names())
         self.key_body_ids = self._body_ids("keyBodies", self.key_body_names())
         self.termination_heights_m = self._termination_heights()
-        self._build_action_scaling()
+        efforts = torch.tensor(self._model.actuator_forcerange[:, 1], dtype=torch.float32)
+        self.motor_efforts = efforts.to(self.device)
+        # The controls are offset + scale * action, (D,) each.
+        if self.env_cfg.pd_control:
+            limits = torch.from_numpy(dof_limits(self._model, self._layout)).float()
+            offset, scale = self._pd_offset_scale(limits[:, 0], limits[:, 1])
+        else:
+            offset, scale = torch.zeros_like(efforts), efforts * self.env_cfg.power_scale
+        self._action_offset, self._action_scale = offset.to(self.device), scale.to(self.device)
 
     def _check_asset(self) -> None:
         num_dofs, num_actuators = self._layout.num_dofs, self._model.nu
@@ -172,18 +175,6 @@ class HumanoidAMPBase(MjcfTask):
                 raise ConfigError(unknown(f"body in task.env.{key}:", name, bodies))
         ids = [bodies.index(name) for name in names]
         return torch.tensor(ids, dtype=torch.int64, device=self.device)
-
-    def _build_action_scaling(self) -> None:
-        """Compute offset and scale (D,) from actions to controls."""
-        efforts = torch.tensor(self._model.actuator_forcerange[:, 1], dtype=torch.float32)
-        self.motor_efforts = efforts.to(self.device)
-        if not self.env_cfg.pd_control:
-            self._action_offset = torch.zeros_like(self.motor_efforts)
-            self._action_scale = self.motor_efforts * self.env_cfg.power_scale
-            return
-        limits = torch.from_numpy(dof_limits(self._model, self._layout)).float()
-        offset, scale = self._pd_offset_scale(limits[:, 0], limits[:, 1])
-        self._action_offset, self._action_scale = offset.to(self.device), scale.to(self.device)
 
     def compute_controls(self, actions: Tensor) -> Tensor:
         """Return PD targets (rad) or torques (Nm), offset + scale * action, (N, D)."""

@@ -24,9 +24,9 @@ class ReferenceMotions:
     """States and AMP observations of a task's clips, at given or random times.
 
     An AMP observation is a window of `num_steps` control steps, the newest first, flattened to F
-    values. `features` computes one step of it from character states. Clips are drawn by weight.
-    `motion_share` of the windows are drawn in proportion to the motion in the clip, the others
-    evenly.
+    values. `features` computes one control step of the observation from character states. Clips are
+    drawn by weight. `motion_share` of the windows are drawn in proportion to the motion in the
+    clip, the others evenly.
     """
 
     def __init__(
@@ -121,7 +121,8 @@ class AdaptiveStarts(Stateful):
     2305.06456) draw clips by their failures. Here, clips are divided into bins of 0.1 s with equal
     initial rates.
 
-    M clips have durations and probabilities (M,). A failure within `soon_steps` counts as early.
+    `lengths_s` and `weights` (M,) are the durations and probabilities of M clips. A failure within
+    `soon_steps` counts as early.
     """
 
     stored = ("failure_rate",)
@@ -149,13 +150,13 @@ class AdaptiveStarts(Stateful):
         within = torch.rand(n, device=bins.device)
         return self._clip[bins], self._start_s[bins] + within * self._width_s[bins]
 
-    def bins_of(self, motion_ids: Tensor, times_s: Tensor) -> Tensor:
+    def bins_of(self, clips: Tensor, times_s: Tensor) -> Tensor:
         """Return the bins (n,) of clip times (n,)."""
-        place = (times_s / self._width_s[self._first[motion_ids]]).long()
-        return self._first[motion_ids] + torch.minimum(place, self._counts[motion_ids] - 1)
+        place = (times_s / self._width_s[self._first[clips]]).long()
+        return self._first[clips] + torch.minimum(place, self._counts[clips] - 1)
 
     def count(self, bins: Tensor, steps: Tensor, failed: Tensor) -> None:
-        """Update the failure rates by episodes (n,) with these start bins, durations and failures.
+        """Update the failure rates with ended episodes (n,): start bin, control steps, failure.
 
         Short episodes that did not fail say nothing and are not counted.
         """
@@ -241,12 +242,6 @@ class ClipStarts(Stateful):
         self.clips[env_ids] = clips
         self.times_s[env_ids] = times_s
         return tuple(states)
-
-    def count_ended(self, env_ids: Tensor, steps: Tensor, failed: Tensor) -> None:
-        """Update the failure rates by ended episodes (n,), with durations in control steps."""
-        if self.adaptive is not None and len(env_ids) > 0:
-            bins = self.adaptive.bins_of(self.clips[env_ids], self.times_s[env_ids])
-            self.adaptive.count(bins, steps, failed)
 
     @torch.inference_mode()
     def _draw(self, n: int) -> tuple[Tensor, ...]:

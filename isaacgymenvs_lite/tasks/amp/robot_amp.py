@@ -54,11 +54,6 @@ class ObservationNoise:
     dof_pos_offset: float = setting(0.0, minimum=0)  # rad
     dof_vel: float = setting(0.0, minimum=0)  # rad/s
 
-    @property
-    def widths(self) -> dict[str, float]:
-        """Half width of each part by name."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class RobotAMPConfig(HumanoidAMPConfig, RobotSettings):
@@ -72,9 +67,7 @@ class RobotAMPConfig(HumanoidAMPConfig, RobotSettings):
     asset: AssetConfig = field(default_factory=lambda: AssetConfig("mjcf/g1.xml"))
     observations: str = setting("full", choices=("full", "deployable"))
     history_steps: int = setting(1, key="historySteps", minimum=1, maximum=_MAX_FRAMES)
-    observation_noise: ObservationNoise = field(
-        default_factory=ObservationNoise, metadata={"key": "observationNoise"}
-    )
+    observation_noise: ObservationNoise = setting(ObservationNoise(), key="observationNoise")
     action_delay: tuple[int, ...] = setting(
         (0, 0), key="actionDelay", minimum=0, maximum=_MAX_DELAY, length=2
     )  # control steps
@@ -94,14 +87,12 @@ def check_realism(settings: RobotAMPConfig, env: dict[str, Any]) -> None:
     Raises:
         ConfigError: an empty range, an unknown part of the noise, or a key without effect.
     """
-    # Default sections may be merged with unknown parts, which would have no effect.
     noise = env.get("observationNoise")
     read_section(ObservationNoise, noise, "task.env.observationNoise", complete=True)
-    unread = sorted(set(noise or ()) - set(settings.observation_noise.widths))
-    if unread:
+    parts = asdict(settings.observation_noise)
+    if unread := sorted(set(noise or ()) - set(parts)):
         raise ConfigError(
-            f"task.env.observationNoise.{unread[0]}: expected one of"
-            f" {', '.join(settings.observation_noise.widths)}"
+            f"task.env.observationNoise.{unread[0]}: expected one of {', '.join(parts)}"
         )
     least, most = settings.action_delay
     if least > most:
@@ -115,7 +106,7 @@ def check_realism(settings: RobotAMPConfig, env: dict[str, Any]) -> None:
             f"task.env.historySteps={settings.history_steps}: full observations have no history;"
             " add task.env.observations=deployable, or set it to 1"
         )
-    if any(settings.observation_noise.widths.values()):
+    if any(parts.values()):
         raise ConfigError(
             "task.env.observationNoise needs task.env.observations=deployable; noise on full"
             " observations is task.task.randomization_params.observations"
@@ -230,9 +221,9 @@ class RobotAMP(HumanoidAMP):
             self._start_dof_pos = self.default_pose()[1]
             size = sum(history_groups(num_dofs, 1).values())
             self._frames = torch.zeros(n, cfg.history_steps, size, device=self.device)
-        if any(cfg.observation_noise.widths.values()):
-            widths = noise_widths(cfg.observation_noise.widths, num_dofs)
-            self._noise_widths = widths.to(self.device)
+        noise = asdict(cfg.observation_noise)
+        if any(noise.values()):
+            self._noise_widths = noise_widths(noise, num_dofs).to(self.device)
         least, most = cfg.action_delay
         if most > 0:
             self._delay = ActionDelay(least, most, n, self.num_actions, self.device)
@@ -320,14 +311,11 @@ class RobotAMPVelocity(RobotAMP):
     goal: Velocity
 
     def create_sim(self) -> None:
-        """Create the simulations, and check that a clip moves if commands do."""
+        """Create the simulations; refuse clips that all stand, and warn of sideways motion."""
         super().create_sim()
         ranges = self.goal.settings.command_ranges
-        if any((*ranges.linear_x, *ranges.linear_y)):
-            self._check_clips_go()
-
-    def _check_clips_go(self) -> None:
-        """Refuse clips that all stand, and warn of clips that move sideways."""
+        if not any((*ranges.linear_x, *ranges.linear_y)):
+            return
         fastest_m_s = self.motion_lib.fastest_clip_m_s()
         where = f"task.env.motion_file={self.env_cfg.motion_file}"
         if fastest_m_s < _STANDING_M_S:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import mujoco
@@ -28,11 +29,7 @@ _AIMED_AT = "torso"
 
 def throw_steps() -> tuple[int, ...]:
     """Return the control steps at which the boxes are thrown, in order."""
-    steps, now = [], 0
-    for _, wait in _THROWS:
-        now += wait
-        steps.append(now)
-    return tuple(steps)
+    return tuple(itertools.accumulate(wait for _, wait in _THROWS))
 
 
 class HumanoidPerturb(HumanoidASE):

@@ -34,8 +34,8 @@ def _dof_obs_layout(
     """Return the index tensors of `_dof_features`.
 
     The first holds the DOFs of the ball joints: all x, then all y, then all z. The second holds the
-    DOFs of the hinges. The third sorts features by joint; before sorting, all ball joints precede
-    all hinges, component by component.
+    DOFs of the hinges. The third sorts features by joint. Unsorted features begin with all ball
+    joints, component by component, and all hinges follow.
     """
     groups = list(itertools.pairwise(dof_offsets))
     balls = [a + axis for axis in range(3) for a, b in groups if b - a == 3]
@@ -76,8 +76,8 @@ def dof_to_obs(
 
     IsaacGymEnvs encodes a 3-DoF joint by the tangent and normal of its rotation vector (6 values),
     and a hinge by its angle. A rotation vector longer than pi counts as the identity. ASE accepts
-    vectors of any length. It encodes a hinge by tangent and normal, too, as a rotation about y,
-    whatever its axis.
+    vectors of any length. ASE also encodes a hinge by tangent and normal, as a rotation about y for
+    any axis.
 
     Args:
         dof_pos: (N, D) rad.
@@ -227,8 +227,8 @@ def compute_humanoid_reset(
 ) -> tuple[Tensor, Tensor]:
     """Return which episodes end, and which of them by a fall: reset (N,) and terminated (N,).
 
-    The arguments are IsaacGymEnvs', see `compute_humanoid_falls`. Only the dtype of `reset_buf`
-    (N,) is used, for the results.
+    The arguments are IsaacGymEnvs', see `compute_humanoid_falls`. `reset_buf` (N,) determines only
+    the dtype of the results.
     """
     timed_out = progress_buf >= max_episode_length - 1
     if not enable_early_termination:

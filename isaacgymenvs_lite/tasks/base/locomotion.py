@@ -7,7 +7,6 @@ instead of its lateral distance. Therefore it is nearly the negative yaw.
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -28,8 +27,7 @@ from isaacgymenvs_lite.utils.scaling import unscale
 _TARGET_X_M = 1000.0
 _START_POS_NOISE_RAD = 0.2
 _START_VEL_NOISE_RAD_S = 0.1
-_FULL_HEADING = 0.8  # cosine
-_UPRIGHT = 0.93  # cosine
+_FULL_HEADING, _UPRIGHT = 0.8, 0.93  # cosines of 37 and 22 degrees
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,16 +98,6 @@ def compute_potentials(root_pos: Tensor, dt: float) -> Tensor:
     return torch.hypot(_TARGET_X_M - root_pos[:, 0], root_pos[:, 1]) / -dt
 
 
-def heading_reward(heading_proj: Tensor, weight: float) -> Tensor:
-    """Return `weight` (N,) within 37 degrees of the target direction, and less beyond."""
-    return (weight / _FULL_HEADING * heading_proj).masked_fill(heading_proj > _FULL_HEADING, weight)
-
-
-def up_reward(up_proj: Tensor, weight: float) -> Tensor:
-    """Return `weight` (N,) where the torso is upright within 22 degrees, otherwise 0."""
-    return (up_proj > _UPRIGHT).float() * weight
-
-
 def running_terms(
     torso: TorsoState, progress_m_s: Tensor, actions: Tensor, alive: float, cfg: LocomotionConfig
 ) -> Terms:
@@ -118,11 +106,13 @@ def running_terms(
     `progress_m_s` (N,) is the speed towards the target, and `alive` a constant reward of every
     step.
     """
+    heading = cfg.heading_weight / _FULL_HEADING * torso.heading_proj
+    faces_target = torso.heading_proj > _FULL_HEADING
     return {
         "progress": progress_m_s,
         "alive": torch.full_like(progress_m_s, alive),
-        "heading": heading_reward(torso.heading_proj, cfg.heading_weight),
-        "up": up_reward(torso.up_proj, cfg.up_weight),
+        "heading": heading.masked_fill(faces_target, cfg.heading_weight),
+        "up": (torso.up_proj > _UPRIGHT).float() * cfg.up_weight,
         "actions": actions.square().sum(-1) * -cfg.actions_cost,
     }
 
@@ -192,10 +182,6 @@ class LocomotionTask(MjcfTask):
     def foot_wrenches(self) -> Tensor:
         """Return contact forces and torques (6 K, N), foot by foot, in the foot frames."""
         return measure_wrenches(self.simulation, self.foot_names).transpose(0, 1).flatten(0, 1)
-
-    @abstractmethod
-    def compute_reward_terms(self) -> Terms:
-        """Return the terms (N,) of the reward."""
 
     def compute_failures(self) -> Tensor:
         """Return (N,) bool: the torso is below the termination height."""

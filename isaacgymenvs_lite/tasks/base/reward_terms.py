@@ -9,7 +9,7 @@ Terms = dict[str, Tensor]
 
 
 def replace_where(terms: Terms, where: Tensor, name: str, value: float) -> Terms:
-    """Return the terms, but only the term `name` of this value where `where` (N,) is True."""
+    """Replace all terms by one term `name` of this value where `where` (N,) is True."""
     kept = torch.stack(tuple(terms.values())).masked_fill_(where, 0.0)
     return {**dict(zip(terms, kept, strict=True)), name: where * value}
 

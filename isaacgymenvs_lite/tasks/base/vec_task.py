@@ -58,7 +58,7 @@ from isaacgymenvs_lite.rendering.tracks import TaskCamera
 from isaacgymenvs_lite.schema import read_keys
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms, total
 from isaacgymenvs_lite.tasks.base.task_config import EnvConfig, StepConfig
 from isaacgymenvs_lite.tasks.randomization.randomizer import DomainRandomizer
 from isaacgymenvs_lite.utils.state import Stateful
@@ -206,7 +206,7 @@ class Env(Stateful):
         return None
 
     def set_env_state(self, env_state: Any) -> None:
-        """Restore what `get_env_state` returned."""
+        """Restore a state that `get_env_state` returned."""
 
 
 class VecTask(Env):
@@ -479,8 +479,7 @@ class VecTask(Env):
         if (discarded := self._discarded) is not None:
             terms = {name: term.masked_fill(discarded, 0.0) for name, term in terms.items()}
         self.reward_terms = terms
-        first, *others = terms.values()
-        self.rew_buf.copy_(torch.stack((first, *others)).sum(0) if others else first)
+        self.rew_buf.copy_(total(terms))
 
     def compute_reset(self) -> None:
         """Write which episodes end, and how."""

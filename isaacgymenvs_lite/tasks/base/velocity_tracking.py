@@ -6,7 +6,7 @@ The formulas are IsaacGymEnvs'. Tensors have N as the last dimension: (3, N), (D
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import mujoco
@@ -70,10 +70,6 @@ class CommandRangesConfig:
     linear_y: tuple[float, ...] = setting((-1.0, 1.0), length=2)  # m/s
     yaw: tuple[float, ...] = setting((-1.0, 1.0), length=2)  # rad/s
 
-    def limits(self) -> list[list[float]]:
-        """Return the three ranges (3, 2)."""
-        return [list(limits[:2]) for limits in (self.linear_x, self.linear_y, self.yaw)]
-
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfAssetConfig:
@@ -91,16 +87,12 @@ class UrdfAssetConfig:
 class VelocityTrackingConfig(TaskConfig):
     """Keys of `task.env` that Anymal and AnymalTerrain share."""
 
-    init_state: InitStateConfig = field(
-        default_factory=InitStateConfig, metadata={"key": "baseInitState"}
-    )
-    command_ranges: CommandRangesConfig = field(
-        default_factory=CommandRangesConfig, metadata={"key": "randomCommandVelocityRanges"}
+    init_state: InitStateConfig = setting(InitStateConfig(), key="baseInitState")
+    command_ranges: CommandRangesConfig = setting(
+        CommandRangesConfig(), key="randomCommandVelocityRanges"
     )
     default_joint_angles: dict[str, Any] = setting(key="defaultJointAngles")  # rad
-    urdf_asset: UrdfAssetConfig = field(
-        default_factory=UrdfAssetConfig, metadata={"key": "urdfAsset"}
-    )
+    urdf_asset: UrdfAssetConfig = setting(UrdfAssetConfig(), key="urdfAsset")
     viewer: dict[str, Any] = setting({})  # no effect
 
 
@@ -220,14 +212,11 @@ class VelocityTrackingTask(MjcfTask):
         device, cfg = self.device, self.env_cfg
         angles = joint_angles(cfg.default_joint_angles, self.simulation.dof_names)
         self.default_dof_pos = angles.to(device)
-        state = cfg.init_state
-        self._start_root = torch.tensor(
-            [*state.pos[:3], *state.rot[:4], *state.lin_vel[:3], *state.ang_vel[:3]], device=device
-        )
-        self._ranges = torch.tensor(cfg.command_ranges.limits(), device=device)
-        asset = cfg.urdf_asset
-        self._knee_ids = self._bodies_called(asset.knee_name, "kneeName")
-        self._foot_ids = self._bodies_called(asset.foot_name, "footName")
+        self._start_root = torch.cat([torch.tensor(part) for part in astuple(cfg.init_state)])
+        self._start_root = self._start_root.to(device)
+        self._ranges = torch.tensor(astuple(cfg.command_ranges), device=device)
+        self._knee_ids = self._bodies_called(cfg.urdf_asset.knee_name, "kneeName")
+        self._foot_ids = self._bodies_called(cfg.urdf_asset.foot_name, "footName")
 
     def _bodies_called(self, part: str, key: str) -> Tensor:
         names = self.simulation.body_names

@@ -19,7 +19,7 @@ def measure_wrenches(simulation: SimulationBackend, bodies: Sequence[str]) -> Te
     """Return the contact forces and torques (6, K, N) on K bodies; see `body_wrenches`.
 
     The model needs the sensors `wrench_<body>`, `position_<body>`, `xaxis_<body>`, `yaxis_<body>`
-    and `zaxis_<body>` of every body. They measure at the start of the last physics step.
+    and `zaxis_<body>` of every body. The sensors measure at the start of the last physics step.
     """
     contacts = [f"wrench_{body}" for body in bodies]
     frames = [f"{what}_{body}" for body in bodies for what in _FRAME_SENSORS]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, astuple, dataclass
 from typing import Any
 
 import torch
@@ -69,8 +69,8 @@ class GaitCommandRanges(CommandRangesConfig):
 class VelocitySettings(GoalSettings):
     """Keys of `task.env` for the goal `velocity`."""
 
-    command_ranges: GaitCommandRanges = field(
-        default_factory=GaitCommandRanges, metadata={"key": "randomCommandVelocityRanges"}
+    command_ranges: GaitCommandRanges = setting(
+        GaitCommandRanges(), key="randomCommandVelocityRanges"
     )
     change_steps_min: int = setting(90, key="commandChangeStepsMin", minimum=1)
     change_steps_max: int = setting(210, key="commandChangeStepsMax", minimum=2)
@@ -127,7 +127,7 @@ class Velocity(TimedGoal):
 
     def _limits(self, device: torch.device) -> tuple[Tensor, Tensor]:
         """Return the lowest and the highest command, (3,) each."""
-        limits = torch.tensor(self.settings.command_ranges.limits(), device=device)
+        limits = torch.tensor(astuple(self.settings.command_ranges), device=device)
         return limits[:, 0], limits[:, 1]
 
     def planar_motion(self, root_states: Tensor) -> Tensor:

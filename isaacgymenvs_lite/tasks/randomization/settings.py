@@ -59,7 +59,7 @@ class AttributeSettings(_Scheduled):
     setup_only: bool = setting(False)
     """True: drawn only once, when the simulation is created."""
     num_buckets: int | None = setting(None, minimum=1)
-    """Number of values to which draws are rounded down."""
+    """Draws are rounded down to a grid of this number of values."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,15 +152,15 @@ def _attribute(entry: Any, where: str) -> AttributeSettings:
 
 
 def _check_range(values: tuple[float, ...], distribution: str, where: str) -> None:
-    first, second = values[:2]
+    first, second = values
     expected = {
         "gaussian": ("a mean and a standard deviation of at least 0", second >= 0),
         "uniform": ("a lower and an upper limit", first <= second),
         "loguniform": ("a lower and an upper limit above 0", 0 < first <= second),
     }
-    words, fits = expected[distribution]
-    if len(values) != 2 or not fits:
-        raise ConfigError(f"{where}: got {list(values)}, expected {words}")
+    limits, fits = expected[distribution]
+    if not fits:
+        raise ConfigError(f"{where}: got {list(values)}, expected {limits}")
 
 
 def _check_names(entries: Any, known: Collection[str], where: str, what: str) -> None:

@@ -33,7 +33,7 @@ def next_levels(
 
 
 class Curriculum(Stateful):
-    """Levels and types of N robots' tiles, `levels` and `types` (N,) int64.
+    """Levels and types (N,) int64 of the tiles of N robots.
 
     With `demotionAsPublished`, each robot's distance is compared with the norm of the commands of
     all robots that start at the same time, as in IsaacGymEnvs. More robots then go back a level.
