@@ -1,18 +1,22 @@
-"""HumanoidAMPBase: the simulated humanoid of AMP without reference motions."""
+"""HumanoidAMPBase: the simulated humanoid of AMP without reference motions, and its settings."""
 
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import mujoco
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import FEET, OWN_ASSET, HumanoidAMPConfig
-from isaacgymenvs_lite.tasks.amp.humanoid_model import dof_limits, set_actuators
-from isaacgymenvs_lite.tasks.base.assets import shipped_assets
+from isaacgymenvs_lite.motion.interpolation import INTERPOLATIONS
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+from isaacgymenvs_lite.tasks.base.assets import hinge_limits, shipped_assets
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     compute_humanoid_falls,
     compute_humanoid_observations,
@@ -24,6 +28,7 @@ from isaacgymenvs_lite.tasks.base.humanoid_observations import (
 )
 from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.task_config import AssetConfig, TaskConfig
 from isaacgymenvs_lite.tasks.base.vec_task import (
     ActionScaling,
     Done,
@@ -52,10 +57,73 @@ DOF_OFFSETS = [0, 3, 6, 9, 10, 13, 14, 17, 18, 21, 24, 25, 28]
 NUM_OBS = 105
 NUM_ACTIONS = 28
 KEY_BODY_NAMES = ("right_hand", "left_hand", "right_foot", "left_foot")
+OWN_ASSET = "mjcf/amp_humanoid.xml"
+FEET = ("right_foot", "left_foot")
 _START_HEIGHT_M = 0.89
 
 CharacterState = tuple[Tensor, Tensor, Tensor, Tensor]
 """Root states (..., 13), DOF positions and velocities (..., D), key body positions (..., K, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HumanoidAMPConfig(TaskConfig):
+    """`task.env` of HumanoidAMP; cfg/task/HumanoidAMP.yaml describes the keys."""
+
+    episode_length: int = setting(300, key="episodeLength", minimum=2)
+    pd_control: bool = setting(True, key="pdControl")
+    power_scale: float = setting(1.0, key="powerScale", minimum=0)
+    control_freq_inv: int = setting(2, key="controlFrequencyInv", minimum=1)
+    state_init: str = setting(
+        "Random", key="stateInit", choices=("Default", "Start", "Random", "Hybrid")
+    )
+    hybrid_init_prob: float = setting(0.5, key="hybridInitProb", minimum=0, maximum=1)
+    num_amp_obs_steps: int = setting(2, key="numAMPObsSteps", minimum=2, maximum=1000)
+    local_root_obs: bool = setting(False, key="localRootObs")
+    contact_bodies: tuple[str, ...] | None = setting(FEET, key="contactBodies")
+    termination_height: float = setting(0.5, key="terminationHeight")  # m
+    enable_early_termination: bool = setting(True, key="enableEarlyTermination")
+    motion_file: str = setting("walk.npz")
+    repair_repeated_frames: bool = setting(True, key="repairRepeatedFrames")
+    clip_interpolation: str = setting("spline", key="clipInterpolation", choices=INTERPOLATIONS)
+    demo_motion_share: float = setting(0.0, key="demoMotionShare", minimum=0, maximum=1)
+    adaptive_starts: float = setting(0.0, key="adaptiveStarts", minimum=0, maximum=1)
+    clip_deviation: float = setting(0.0, key="clipDeviation", minimum=0)
+    clip_deviation_final: float = setting(0.0, key="clipDeviationFinal", minimum=0)
+    clip_travel: float = setting(0.0, key="clipTravel", minimum=0, maximum=1)
+    clip_tempo: float = setting(0.0, key="clipTempo", minimum=0)
+    end_with_clip: bool = setting(False, key="endWithClip")
+    ground_clips: bool = setting(False, key="groundClips")
+    enforce_effort_limits: bool = setting(False, key="enforceEffortLimits")
+    asset: AssetConfig = field(default_factory=lambda: AssetConfig(OWN_ASSET))
+
+
+def dof_limits(model: mujoco.MjModel, layout: ModelLayout) -> npt.NDArray[np.float64]:
+    """Return the lower and upper limits (D, 2) of a humanoid's degrees of freedom in rad.
+
+    MuJoCo limits only the total angle of a ball joint. The limits of its rotation vector are the
+    length ranges of its three actuators, or 0 if the file has none. Actuators have the order of the
+    degrees of freedom.
+    """
+    limits = hinge_limits(model, layout)
+    balls = layout.ball_dofs.ravel()
+    limits[balls] = model.actuator_lengthrange[balls]
+    return limits
+
+
+def set_actuators(model: mujoco.MjModel, env: HumanoidAMPConfig) -> None:
+    """Set the actuator type and effort limits of a compiled model."""
+    if not env.pd_control:  # the control is a torque in Nm, which may exceed the efforts
+        model.actuator_gainprm[:, 0] = 1.0
+        model.actuator_biastype[:] = int(mujoco.mjtBias.mjBIAS_NONE)
+        model.actuator_biasprm[:] = 0.0
+        model.actuator_forcelimited[:] = 0
+        return
+    # MuJoCo 4 wraps the error of a position servo on a ball joint into +-pi. A full action is
+    # float32's pi, which is above pi and would turn the joint backwards. MuJoCo recognises a servo
+    # by gain = -bias, so a bias that differs in the last bit avoids the wrapping.
+    model.actuator_biasprm[:, 1] = np.nextafter(model.actuator_biasprm[:, 1], 0.0)
+    if not env.enforce_effort_limits:
+        model.actuator_forcelimited[:] = 0
 
 
 # Autograd's bookkeeping takes a tenth of the time on small tensors, hence inference_mode below.

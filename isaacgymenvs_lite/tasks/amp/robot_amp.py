@@ -26,9 +26,11 @@ from isaacgymenvs_lite.tasks.amp.deployable_observations import (
     push_newest,
 )
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
-from isaacgymenvs_lite.tasks.amp.humanoid_model import set_actuators
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import (
+    CharacterState,
+    HumanoidAMPConfig,
+    set_actuators,
+)
 from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_spec
 from isaacgymenvs_lite.tasks.base.pushes import push_interval, set_planar_velocities
 from isaacgymenvs_lite.tasks.base.random_values import uniform

@@ -13,9 +13,7 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import assets_dir
 from isaacgymenvs_lite.schema import keys_of, read_section, setting
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
-from isaacgymenvs_lite.tasks.amp.humanoid_model import copy_drives
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState, HumanoidAMPConfig
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     all_body_observation_groups,
     compute_all_body_observations,
@@ -68,6 +66,20 @@ HEAD = "head"
 # These bodies have larger termination heights (m).
 _HIGH_BODIES = {HEAD: 0.3}
 _HIGH_BODIES_WITH_SHIELD = {"left_lower_arm": 0.32}
+
+
+def copy_drives(source: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
+    """Copy gains, efforts and armatures from actuators and joints of the same names."""
+    drives = {actuator.name: actuator for actuator in source.actuators}
+    joints = {joint.name: joint for joint in source.joints}
+    for actuator in spec.actuators:
+        if actuator.name in drives:
+            drive = drives[actuator.name]
+            actuator.gainprm, actuator.biasprm = drive.gainprm, drive.biasprm
+            actuator.forcerange = drive.forcerange
+    for joint in spec.joints:
+        if joint.name in joints:
+            joint.armature = joints[joint.name].armature
 
 
 class HumanoidASE(HumanoidAMP):

@@ -129,7 +129,7 @@ class Gain(Property):
         self._driven = driven = self._drives >= 0
         self._driven_by = by = self._drives[driven]
         self.original[driven] = -model.actuator_biasprm[by, column]
-        # Gain and bias differ where MuJoCo must not recognise a servo, see `humanoid_model`.
+        # Gain and bias differ where MuJoCo must not recognise a servo, see `set_actuators`.
         self._near = (column == 1) & (
             model.actuator_biasprm[by, 1] != -model.actuator_gainprm[by, 0]
         )

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from isaacgymenvs_lite.schema import read_section
-from isaacgymenvs_lite.tasks.terrain.curriculum import Curriculum, next_levels
+from isaacgymenvs_lite.tasks.anymal_terrain import Curriculum, next_levels
 from isaacgymenvs_lite.tasks.terrain.grid import Terrain, TerrainConfig, make_terrain
 
 CPU = torch.device("cpu")
