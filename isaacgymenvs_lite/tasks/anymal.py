@@ -6,8 +6,8 @@ The task keeps these quirks, because policies and curves depend on them:
 - A command lasts for a whole episode.
 - The observed gravity is rotated the wrong way, unless `projectedGravityAsPublished` is False.
 
-Two differences remain. IsaacGymEnvs ends an episode in its first step if the previous one ended by
-a fall, because the forces are stale. It also limits joint speeds to 20 rad/s.
+Two quirks are gone. IsaacGymEnvs ends an episode in its first step if the previous one ended by a
+fall, because the forces are stale. IsaacGymEnvs also limits joint speeds to 20 rad/s.
 """
 
 from __future__ import annotations

@@ -125,7 +125,7 @@ class Humanoid(LocomotionTask):
         """Create the simulations and start measuring joint torques."""
         super().create_sim()
         self.motor_effort_ratio = self.motor_efforts / self.motor_efforts.max()
-        _ = self.simulation.dof_forces  # the first read makes the backend measure them
+        _ = self.simulation.dof_forces  # the first read starts the measurement
 
     def observation_groups(self) -> dict[str, int]:
         """See `compute_humanoid_observations`."""

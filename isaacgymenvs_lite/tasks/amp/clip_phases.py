@@ -53,7 +53,7 @@ def distance_up_to_heading_m(points: Tensor, others: Tensor) -> Tensor:
 
 
 def travel_through(root_states: Tensor, num_phases: int, repeats: bool) -> Tensor:
-    """Return how far a clip's root moves in the `num_phases` before each of its phases.
+    """Return the travel of a clip's root in the `num_phases` phases before each phase.
 
     A clip that repeats continues from its end to its start, straight on. The travel to the first
     phases of any other clip is unknown.

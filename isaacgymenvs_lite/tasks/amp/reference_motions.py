@@ -138,7 +138,7 @@ class AdaptiveStarts(Stateful):
         self._share = weights.to(self._width_s)[self._clip] / counts[self._clip]
         self._soon_steps = soon_steps
         self.failure_rate = torch.full_like(self._start_s, 0.5)
-        """(B,) moving average over the episodes that started in each bin."""
+        """(B,) share of early failures among recent episodes that started in each bin."""
 
     def draw(self, n: int) -> tuple[Tensor, Tensor]:
         """Return clips (n,) and times (n,) s."""

@@ -193,10 +193,10 @@ def compute_humanoid_falls(
 ) -> Tensor:
     """Return (N,) bool: the humanoid fell.
 
-    A humanoid fell if a body is touched and a body is below `termination_height`. Both may be
-    different bodies, but none of `contact_body_ids`. The first step of an episode is excluded,
-    because its contact forces may be stale. A force in any direction counts, as in ASE;
-    IsaacGymEnvs compares signed components.
+    A fall requires a touched body and a body below `termination_height`. They may be different
+    bodies, but none of `contact_body_ids`. The first step of an episode is excluded, because its
+    contact forces may be stale. A force in any direction counts, as in ASE, while IsaacGymEnvs
+    compares signed components.
 
     Args:
         progress_buf: (N,) int64 control steps since the reset, including this step.

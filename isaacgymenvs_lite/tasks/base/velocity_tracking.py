@@ -234,7 +234,7 @@ class VelocityTrackingTask(MjcfTask):
         self._command_planes = torch.zeros(self.num_commands, self.num_envs, device=self.device)
         self.commands = self._command_planes.t()
         self._motion: BaseMotion | None = None
-        # The first read makes the backend measure them.
+        # The first read makes the backend measure the torques.
         self._torques = self.simulation.dof_forces.t()
 
     def proprioception_groups(self) -> dict[str, int]:

@@ -94,8 +94,8 @@ def discrete_obstacles(
 ) -> Samples:
     """Return `count` rectangles on a plane, with a free square of side `platform_m` in the middle.
 
-    The heights are `max_height_m` h, h / 2, -h / 2 and -h. `sides_m` are the shortest and the
-    longest side. Later rectangles overwrite earlier ones.
+    The heights are plus or minus `max_height_m`, and plus or minus half of it. `sides_m` are the
+    shortest and the longest side. Later rectangles overwrite earlier ones.
     """
     top = units_of(max_height_m)
     choices = (-top, -(top // 2), top // 2, top)
