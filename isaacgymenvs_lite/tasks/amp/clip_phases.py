@@ -37,10 +37,10 @@ _TINY = 1e-9
 
 
 def distance_up_to_heading_m(points: Tensor, others: Tensor) -> Tensor:
-    """Return the mean distance (...) m of points (..., P, 3) from others after the best turn.
+    """Return the mean distance (...) m of points (..., P, 3) from others, whatever their heading.
 
-    The turn about z minimises the squared distances. Unlike a heading, it is defined upside down,
-    too.
+    The points are first turned about z to minimise the squared distances. Unlike a heading, this
+    turn is defined upside down, too.
     """
     x, y, z = points.unbind(dim=-1)
     other_x, other_y, other_z = others.unbind(dim=-1)

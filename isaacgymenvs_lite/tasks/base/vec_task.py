@@ -315,8 +315,8 @@ class VecTask(Env):
     def compute_states(self, env_ids: Tensor | None, observations: Tensor) -> Tensor:
         """Return the privileged observations (n, numStates) of an asymmetric critic.
 
-        `env_ids` (n,) is None for all environments. `observations` (n, numObs) have no noise, and
-        the method returns them by default.
+        `env_ids` (n,) are the environments, and None means all of them. `observations` (n, numObs)
+        have no noise, and the method returns them by default.
         """
         return observations
 

@@ -1,4 +1,4 @@
-"""The ground of AnymalTerrain: a grid of increasingly hard tiles in a flat border, and a curriculum.
+"""The ground of AnymalTerrain: a grid of increasingly hard tiles in a flat border; its curriculum.
 
 The tile of level 0 and type 0 starts at the world origin. Levels follow each other along x, types
 along y. Each kind of tile is a pure function, as in IsaacGymEnvs. Height samples are int16 in units
