@@ -1,4 +1,4 @@
-"""The tasks, by the name that `task.name` in a task file gives."""
+"""The tasks of this project, by the `name` in their task files."""
 
 from __future__ import annotations
 
@@ -18,38 +18,19 @@ from isaacgymenvs_lite.tasks.ase.humanoid_ase_getup import HumanoidASEGetup
 from isaacgymenvs_lite.tasks.ase.humanoid_perturb import HumanoidPerturb
 from isaacgymenvs_lite.tasks.ase.humanoid_view_motion import HumanoidViewMotion
 from isaacgymenvs_lite.tasks.ball_balance import BallBalance
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.tasks.cartpole import Cartpole
 from isaacgymenvs_lite.tasks.humanoid import Humanoid
 from isaacgymenvs_lite.tasks.ingenuity import Ingenuity
 from isaacgymenvs_lite.tasks.quadcopter import Quadcopter
-from isaacgymenvs_lite.tasks.registry import (
-    TaskMaker,
-    find_task,
-    isaacgym_task_map,
-    register_task,
-)
+from isaacgymenvs_lite.tasks.registry import find_task, isaacgym_task_map, register_task
 
 __all__ = ["find_task", "isaacgym_task_map", "register_task"]
 
-_OWN: dict[str, TaskMaker] = {
-    "Ant": Ant,
-    "Anymal": Anymal,
-    "AnymalTerrain": AnymalTerrain,
-    "BallBalance": BallBalance,
-    "Cartpole": Cartpole,
-    "Humanoid": Humanoid,
-    "HumanoidAMP": HumanoidAMP,
-    "HumanoidASE": HumanoidASE,
-    "HumanoidASEGetup": HumanoidASEGetup,
-    "HumanoidHeading": HumanoidHeading,
-    "HumanoidLocation": HumanoidLocation,
-    "HumanoidPerturb": HumanoidPerturb,
-    "HumanoidReach": HumanoidReach,
-    "HumanoidStrike": HumanoidStrike,
-    "HumanoidViewMotion": HumanoidViewMotion,
-    "Ingenuity": Ingenuity,
-    "Quadcopter": Quadcopter,
-    "RobotAMP": RobotAMP,
-    "RobotAMPVelocity": RobotAMPVelocity,
-}
-isaacgym_task_map.update(_OWN)
+_OWN: tuple[type[VecTask], ...] = (
+    *(Ant, Anymal, AnymalTerrain, BallBalance, Cartpole, Humanoid, Ingenuity, Quadcopter),
+    *(HumanoidAMP, HumanoidASE, HumanoidASEGetup, HumanoidHeading, HumanoidLocation),
+    *(HumanoidPerturb, HumanoidReach, HumanoidStrike, HumanoidViewMotion),
+    *(RobotAMP, RobotAMPVelocity),
+)
+isaacgym_task_map.update({task.__name__: task for task in _OWN})

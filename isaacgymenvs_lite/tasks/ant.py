@@ -1,8 +1,11 @@
-"""Ant: four legs that learn to run along +x. As IsaacGymEnvs.
+"""Ant: a body with four legs learns to run along +x, as in IsaacGymEnvs.
 
-Quirks kept, because policies and curves depend on them: yaw and roll jump between 0 and
-2 pi; `angle_to_target` (see `locomotion`); the cost of joints at their limits counts upper limits
-only; the cost of energy uses the scaled joint velocity.
+The task keeps these quirks, because policies and curves depend on them:
+
+- Yaw and roll jump between 0 and 2 pi.
+- `angle_to_target` is wrong, see `locomotion`.
+- Only upper joint limits count in the cost of joints at their limits.
+- The energy cost uses the scaled joint velocity.
 """
 
 from __future__ import annotations
@@ -35,34 +38,21 @@ def compute_ant_observations(
 ) -> Tensor:
     """Return the observations (N, 60).
 
-    Height, velocities in the torso's frame, yaw, roll, angle to the target, `up_proj`,
-    `heading_proj`, 8 joint positions as shares of their ranges, 8 joint velocities, 4 x 6 forces
-    and torques on the feet, 8 actions.
+    First come height, velocities in the torso frame, yaw, roll, angle to the target, `up_proj` and
+    `heading_proj`. Then come 8 joint positions scaled to [-1, 1], 8 joint velocities, 4 x 6 contact
+    forces and torques on the feet, and 8 actions.
 
-    Args:
-        torso: see `compute_torso_state`.
-        dof_pos: (N, 8) rad.
-        dof_vel: (N, 8) rad/s.
-        lower: (8,) rad.
-        upper: (8,) rad.
-        foot_wrenches: (24, N) N and Nm, in the feet's frames.
-        actions: (N, 8) of the last step.
-        cfg: the scales.
+    Joint quantities are (N, 8) in rad and rad/s, their limits (8,). The foot wrenches (24, N) are
+    in N and Nm, in the foot frames.
     """
     return torch.cat(
         (
             torso.height[None],
             torso.lin_vel,
             torso.ang_vel * cfg.angular_velocity_scale,
-            torch.stack(
-                (
-                    torso.yaw,
-                    torso.roll,
-                    torso.angle_to_target,
-                    torso.up_proj,
-                    torso.heading_proj,
-                )
-            ),
+            torch.stack((torso.yaw, torso.roll, torso.angle_to_target)),
+            torso.up_proj[None],
+            torso.heading_proj[None],
             unscale(dof_pos, lower, upper).t(),
             dof_vel.t() * cfg.dof_velocity_scale,
             foot_wrenches * cfg.contact_force_scale,
@@ -79,15 +69,10 @@ def compute_ant_reward(
     dof_vel_scaled: Tensor,
     cfg: LocomotionConfig,
 ) -> Terms:
-    """Return the terms (N,) of the reward.
+    """Return the reward terms (N,).
 
-    Args:
-        torso: see `compute_torso_state`.
-        progress_m_s: (N,) speed towards the target.
-        actions: (N, 8).
-        dof_pos_share: (N, 8) joint positions in their ranges, -1 to 1.
-        dof_vel_scaled: (N, 8) joint velocities times dofVelocityScale.
-        cfg: weights and costs.
+    `progress_m_s` (N,) is the speed towards the target. The other tensors are (N, 8), scaled as in
+    the observation.
     """
     terms = {
         **running_terms(torso, progress_m_s, actions, _ALIVE_REWARD, cfg),
@@ -98,7 +83,7 @@ def compute_ant_reward(
 
 
 class Ant(LocomotionTask):
-    """N ants: 60 observations, 8 joint torques. Keys: `LocomotionConfig`."""
+    """N ants with 60 observations and 8 joint torques."""
 
     settings_class = LocomotionConfig
     default_asset = "mjcf/ant.xml"

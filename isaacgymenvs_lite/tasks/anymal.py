@@ -1,10 +1,13 @@
-"""Anymal: ANYmal C on flat ground follows commanded velocities. As IsaacGymEnvs.
+"""Anymal: ANYmal C follows commanded velocities on flat ground, as in IsaacGymEnvs.
 
-Quirks kept, because policies and curves depend on them: joint angles at the start are the
-default ones times random factors; commands stay for an episode; gravity in the observation is
-rotated the wrong way unless the key `projectedGravityAsPublished` is False.
-Not kept: after a fall IsaacGymEnvs ends the new episode at once, as it reads the forces of the fall
-again. Joints have no limit of their speed (20 rad/s there).
+The task keeps these quirks, because policies and curves depend on them:
+
+- Start joint angles are the default angles times random factors.
+- A command lasts for a whole episode.
+- The observed gravity is rotated the wrong way, unless `projectedGravityAsPublished` is False.
+
+Two quirks are gone. IsaacGymEnvs ends an episode in its first step if the previous one ended by a
+fall, because the forces are stale. IsaacGymEnvs also limits joint speeds to 20 rad/s.
 """
 
 from __future__ import annotations
@@ -33,7 +36,6 @@ class AnymalControlConfig(ControlConfig):
     """`task.env.control` of Anymal."""
 
     control_freq_inv: int = setting(1, key="controlFrequencyInv", choices=(1,))
-    """IsaacGymEnvs reads the key one section above; so does this project."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,15 +45,13 @@ class AnymalConfig(VelocityTrackingConfig):
     control: AnymalControlConfig = field(default_factory=AnymalControlConfig)
     learn: LearnConfig = field(default_factory=LearnConfig)
     gravity_as_published: bool = setting(True, key="projectedGravityAsPublished")
-    """This project's. True: gravity is rotated from the base's frame to the world's, as in
-    IsaacGymEnvs, so that its policies can be compared; False: from the world's to the base's."""
 
 
 def rotate_down(root_rot: Tensor) -> Tensor:
     """Return (0, 0, -1) rotated by quaternions (N, 4) xyzw, (3, N).
 
-    IsaacGymEnvs' "projected gravity" of Anymal; for small turns about z it is the direction of
-    gravity in the base's frame with the signs of x and y changed.
+    This is the "projected gravity" of IsaacGymEnvs. After a small rotation about z it equals the
+    gravity in the base frame with opposite signs of x and y.
     """
     x, y, z, w = root_rot.unbind(-1)
     return 2.0 * torch.stack((-(x * z + w * y), w * x - y * z, x * x + y * y - 0.5))
@@ -67,16 +67,9 @@ def compute_anymal_observations(
 ) -> Tensor:
     """Return the observations (N, 48).
 
-    Linear and angular velocity, gravity, 3 commands, 12 joint positions and velocities, 12 actions;
-    all but gravity and actions times their scales.
-
-    Args:
-        motion: of the base, in its frame.
-        commands: (3, N) m/s and rad/s.
-        dof_pos: (12, N) rad, from the default angles.
-        dof_vel: (12, N) rad/s.
-        actions: (12, N) of the last step.
-        cfg: the scales.
+    First come linear and angular velocity, gravity and 3 commands. Then come 12 joint positions
+    relative to the default angles, 12 joint velocities, and 12 actions. All except gravity and
+    actions are scaled. The shapes of the arguments are (3, N) and (12, N).
     """
     return torch.cat((*proprioception(motion, commands, dof_pos, dof_vel, cfg), actions)).t()
 
@@ -84,14 +77,10 @@ def compute_anymal_observations(
 def compute_anymal_reward(
     motion: BaseMotion, commands: Tensor, torques: Tensor, cfg: LearnConfig, dt: float
 ) -> Terms:
-    """Return the terms (N,) of the reward, whose sum is not negative.
+    """Return the reward terms (N,), whose sum is not negative.
 
-    Args:
-        motion: of the base, in its frame.
-        commands: (3, N) m/s and rad/s.
-        torques: (12, N) of the joints (Nm).
-        cfg: the weights of the terms per second.
-        dt: time that a reward counts (s), `task.sim.dt` as in IsaacGymEnvs.
+    `commands` (3, N) are in m/s and rad/s, `torques` (12, N) in Nm. The weights of `cfg` are per
+    second, and `dt` is `task.sim.dt` (s), as in IsaacGymEnvs.
     """
     along, turning = compute_tracking_rewards(commands, motion)
     terms = {
@@ -103,7 +92,7 @@ def compute_anymal_reward(
 
 
 class Anymal(VelocityTrackingTask):
-    """N robots: 48 observations, 12 joint positions. Keys: `AnymalConfig`."""
+    """N robots with 48 observations and 12 joint position targets."""
 
     settings_class = AnymalConfig
     default_asset = "mjcf/anymal.xml"
@@ -113,11 +102,11 @@ class Anymal(VelocityTrackingTask):
     num_actions = 12
 
     def episode_length(self) -> int:
-        """Return the control steps of `episodeLength_s`."""
+        """Return the number of control steps in `episodeLength_s`."""
         return int(self.env_cfg.learn.episode_length_s / self.sim_cfg.dt + 0.5)
 
     def create_sim(self) -> None:
-        """Make the simulations, and look up the bodies whose contacts end an episode."""
+        """Create the simulations and look up the bodies that must not touch anything."""
         super().create_sim()
         base = torch.zeros(1, dtype=torch.int64, device=self.device)
         self._untouchable_ids = torch.cat((base, self._knee_ids))
@@ -156,7 +145,7 @@ class Anymal(VelocityTrackingTask):
         return self.in_contact(self._untouchable_ids).any(0)
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Reset base and joints, and resample commands."""
+        """Reset base and joints, and draw commands."""
         root = self._start_root.repeat(len(env_ids), 1)
         self.simulation.write_state(env_ids, root, *self.draw_start_joints(env_ids))
         self._command_planes.index_copy_(1, env_ids, self.draw_commands(env_ids))

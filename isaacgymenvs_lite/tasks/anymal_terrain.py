@@ -1,21 +1,23 @@
-"""AnymalTerrain: ANYmal C walks over rough ground that gets harder as it gets better.
+"""AnymalTerrain: ANYmal C walks over rough ground with a curriculum, as in IsaacGymEnvs.
 
-As IsaacGymEnvs, with these quirks: joint positions are observed as they are, not relative to the
-default angles; a robot that masters the last level starts again at the first; the heading command
-is zero where the velocity command is.
-Kept only if a key is set: a fifth simulator call in a control step of four
-(`control.extraSimulatorCall`); a control step that counts a quarter of its time for feet in the air
-(`learn.airTimeAsPublished`); robots that go back a level because of other robots' commands
-(`terrain.demotionAsPublished`). Not kept: missing time-outs; a first observation of an episode with
-velocities, gravity, heading and actions of the last one; pushes although `learn.pushRobots` is
-False; vertical walls, which are slopes over 0.1 m of a height field here; a limit of the joints'
-speed (20 rad/s).
-`env.controlFrequencyInv` multiplies the control step. In IsaacGymEnvs it adds simulator calls after
-the last torque, which no time scale counts.
+The task keeps these quirks: joint positions are observed without subtracting the default angles. A
+robot that masters the last level starts again at the first. The heading command is zero where the
+velocity command is zero.
 
-The PD controller of the joints is a drive of the model. With Euler's method its torque, limited to
-80 Nm, depends on the positions and velocities at the start of a simulator call. IsaacGymEnvs
-computes the same in Python before each call.
+Three more quirks need a setting. `control.extraSimulatorCall` adds a fifth simulator call to a
+control step of four. `learn.airTimeAsPublished` counts a quarter of the air time of feet.
+`terrain.demotionAsPublished` demotes robots by the commands of other robots.
+
+Other quirks are gone: missing time-outs, first observations with quantities of the previous
+episode, pushes despite `learn.pushRobots=False`, and the joint speed limit of 20 rad/s. Vertical
+walls are slopes over 0.1 m of a height field.
+
+`env.controlFrequencyInv` multiplies the duration of a control step. IsaacGymEnvs instead adds
+simulator calls after the last torque, and no time scale counts them.
+
+The PD controller is a drive of the model. Euler's method computes its torque from positions and
+velocities at the start of a simulator call. IsaacGymEnvs computes the same torque in Python before
+each call. It is limited to 80 Nm.
 """
 
 from __future__ import annotations
@@ -30,8 +32,10 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.tasks.anymal_terrain_terms import (
+    NUM_POINTS,
     TERM_NAMES,
     AnymalTerrainConfig,
+    HeightScan,
     WalkStep,
     compute_air_time,
     compute_anymal_terrain_observations,
@@ -48,9 +52,7 @@ from isaacgymenvs_lite.tasks.base.velocity_tracking import (
     clip_negative_total,
 )
 from isaacgymenvs_lite.tasks.randomization.properties import make_property
-from isaacgymenvs_lite.tasks.terrain.curriculum import Curriculum
-from isaacgymenvs_lite.tasks.terrain.grid import add_height_field, make_terrain
-from isaacgymenvs_lite.tasks.terrain.height_scan import HeightScan
+from isaacgymenvs_lite.tasks.terrain.grid import Curriculum, add_height_field, make_terrain
 from isaacgymenvs_lite.utils.rotations import calc_heading, normalize_angle
 
 log = logging.getLogger(__name__)
@@ -58,25 +60,24 @@ log = logging.getLogger(__name__)
 _START_OFFSET_M = 0.5
 _PUSH_M_S = 1.0
 _FRICTION_BUCKETS = 100
-# Slower commands count as zero.
-_LEAST_COMMAND_M_S = 0.25
+_LEAST_COMMAND_M_S = 0.25  # slower commands count as zero
 _YAW_RATE_PER_RAD = 0.5  # 1/s
 _MAX_YAW_RATE_RAD_S = 1.0
 _YAW_RATE, _HEADING = 2, 3
 
 
 class AnymalTerrain(VelocityTrackingTask):
-    """N robots: 188 observations, 12 joint positions. Keys: `AnymalTerrainConfig`.
+    """N robots with 188 observations and 12 joint position targets.
 
-    Positions of the simulation are those on the one ground that all environments share.
-    `infos["episode"]`, in steps that end episodes: means of their rewards per second of the longest
-    episode, `rew_<term>`, and of the levels of all robots, `terrain_level`.
+    All environments share one ground and one world frame. If episodes end in a step,
+    `infos["episode"]` holds the mean of each reward term per second of the longest episode,
+    `rew_<term>`. It also holds the mean level of all robots, `terrain_level`.
 
     Attributes:
         terrain: the ground.
-        curriculum: on which tile each robot walks.
-        commands: (N, 4) velocity along x and y of the base (m/s), yaw rate (rad/s), and the heading
-            (rad) that the yaw rate leads to.
+        curriculum: the tile of each robot.
+        commands: (N, 4) velocity along x and y of the base (m/s), yaw rate (rad/s), and heading
+            (rad), from which the yaw rate is computed.
     """
 
     settings_class = AnymalTerrainConfig
@@ -87,20 +88,18 @@ class AnymalTerrain(VelocityTrackingTask):
     num_actions = 12
     num_commands = 4
 
-    # --- construction -----------------------------------------------------------------------
-
     @property
     def control_dt_s(self) -> float:
-        """Time that a control step counts in s."""
+        """Nominal time of a control step (s)."""
         control = self.env_cfg.control
         return self.sim_cfg.dt * control.decimation * self.env_cfg.control_freq_inv
 
     def episode_length(self) -> int:
-        """Return the control steps of `episodeLength_s`."""
+        """Return the number of control steps in `episodeLength_s`."""
         return int(self.env_cfg.learn.episode_length_s / self.control_dt_s + 0.5)
 
     def simulator_calls(self) -> int:
-        """Return the simulator calls of `sim.dt` in a control step."""
+        """Return the number of simulator calls of `sim.dt` in a control step."""
         control = self.env_cfg.control
         return control.decimation * self.env_cfg.control_freq_inv + int(control.extra_call)
 
@@ -108,14 +107,14 @@ class AnymalTerrain(VelocityTrackingTask):
         return self.env_cfg.terrain.dynamic_friction
 
     def build_model(self) -> mujoco.MjModel:
-        """Make the ground, then return the compiled model with it."""
-        # Drawn from torch's generator, which the seed of a run sets.
+        """Create the ground, and return the compiled model with the ground."""
+        # The run's seed determines torch's generator, and therefore the ground.
         rng = np.random.default_rng(int(torch.randint(2**31, ()).item()))
         self.terrain = make_terrain(self.env_cfg.terrain, rng)
         return super().build_model()
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
-        """Give the drives their gains, and add the ground."""
+        """Set the drive gains and add the ground."""
         super().change_spec(spec)
         if self.env_cfg.terrain.terrain_type == "plane":
             return
@@ -124,7 +123,7 @@ class AnymalTerrain(VelocityTrackingTask):
         add_height_field(spec, self.terrain)
 
     def create_sim(self) -> None:
-        """Make the simulations, the height scan and the curriculum."""
+        """Create the simulations, the height scan and the curriculum."""
         super().create_sim()
         self.dt = self.control_dt_s
         learn = self.env_cfg.learn
@@ -137,7 +136,7 @@ class AnymalTerrain(VelocityTrackingTask):
         self.push_interval = push_interval(learn.push_interval_s, self.control_dt_s)
 
     def _draw_friction(self, low: float, high: float) -> None:
-        """Give the robots one of a hundred coefficients of friction, in turn."""
+        """Assign one of a hundred random friction coefficients to each robot."""
         buckets = low + (high - low) * torch.rand(_FRICTION_BUCKETS)
         values = buckets[torch.arange(self.num_envs) % _FRICTION_BUCKETS].double().numpy()
         friction = make_property(
@@ -148,7 +147,7 @@ class AnymalTerrain(VelocityTrackingTask):
             friction.write(np.arange(self.num_envs), np.repeat(values[:, None], shapes, axis=1))
 
     def allocate_buffers(self) -> None:
-        """Add what the task remembers from step to step."""
+        """Add the state that the task keeps between steps."""
         super().allocate_buffers()
         n, device = self.num_envs, self.device
         self.last_actions = torch.zeros_like(self.actions)
@@ -158,20 +157,15 @@ class AnymalTerrain(VelocityTrackingTask):
         self._episode: dict[str, Tensor] = {}
         self._final_observations: dict[str, Tensor] = {}
 
-    # --- step -------------------------------------------------------------------------------
-
     def pre_physics_step(self, actions: Tensor) -> None:
-        """Set the joint positions of actions (N, 12) that the drives aim at."""
-        self._start_episodes()  # those that nobody started by `reset`
+        """Store the previous action and joint velocities, then set the joint position targets."""
+        self._start_episodes()  # `reset` may not have been called
         self.last_actions = self.actions
         self._last_dof_vel.copy_(self.simulation.dof_vel.t())
         super().pre_physics_step(actions)
 
     def post_physics_step(self) -> None:
-        """As the base, but episodes start in the step that ends the ones before, as published.
-
-        They start after the reward and before the observation.
-        """
+        """Run a step that starts new episodes after the reward and before the observation."""
         self.extras.clear()
         self.progress_buf += 1
         self.randomize_buf += 1
@@ -191,7 +185,7 @@ class AnymalTerrain(VelocityTrackingTask):
         return self._final_observations
 
     def update_state(self) -> None:
-        """Read the contacts, push the robots when it is due, and update the yaw commands."""
+        """Read contacts, push the robots when a push is due, and update the yaw rate commands."""
         super().update_state()
         sim = self.simulation
         forces = sim.contact_forces.permute(2, 1, 0)
@@ -203,7 +197,7 @@ class AnymalTerrain(VelocityTrackingTask):
         )
         self._episode = {}
         if self.env_cfg.learn.push_robots and (self.control_steps + 1) % self.push_interval == 0:
-            # After the forces were read, which a new state is without.
+            # A new state has no contact forces, so they are read before the push.
             velocities_w = uniform(self.reset_buf, -_PUSH_M_S, _PUSH_M_S, (2,))
             set_planar_velocities(sim, velocities_w)
         self._steer()
@@ -218,8 +212,7 @@ class AnymalTerrain(VelocityTrackingTask):
     def observation_groups(self) -> dict[str, int]:
         """See `compute_anymal_terrain_observations`."""
         own, last = self.proprioception_groups(), {"last_actions": self.num_actions}
-        heights = self.num_obs - sum(own.values()) - self.num_actions
-        return own | {"ground_heights": heights} | last
+        return own | {"ground_heights": NUM_POINTS} | last
 
     def compute_obs(self) -> Tensor:
         """See `compute_anymal_terrain_observations`."""
@@ -244,7 +237,7 @@ class AnymalTerrain(VelocityTrackingTask):
         return noise.mul_(self._noise_widths).add_(observations)
 
     def compute_reward_terms(self) -> Terms:
-        """See `compute_anymal_terrain_reward`; without the fall's term the sum is not negative."""
+        """Return the reward terms (N,); their sum without the term `terminal` is not negative."""
         sim, learn, step_s = self.simulation, self.env_cfg.learn, self.control_dt_s
         step = WalkStep(
             motion=self.base_motion(),
@@ -274,13 +267,11 @@ class AnymalTerrain(VelocityTrackingTask):
         return self._base_in_contact | self._knees_in_contact.any(0)
 
     def infos(self) -> dict[str, Any]:
-        """Return the means of the episodes that ended; see the class docstring."""
+        """Return the means of the ended episodes; see the class docstring."""
         return {"episode": self._episode} if self._episode else {}
 
-    # --- reset ------------------------------------------------------------------------------
-
     def reset_state(self, env_ids: Tensor) -> None:
-        """Reset base and joints on the robot's tile, resample commands, clear sums and timers."""
+        """Place the robots on their tiles, draw commands, and clear sums and timers."""
         self._conclude(env_ids)
         root = self._start_root + torch.zeros(len(env_ids), 1, device=self.device)
         root[:, :3] += self.curriculum.origins(env_ids)
@@ -297,9 +288,9 @@ class AnymalTerrain(VelocityTrackingTask):
         self._steer()
 
     def _conclude(self, env_ids: Tensor) -> None:
-        """Log the rewards of episodes that ended in this step, and update their robots' levels."""
+        """Update the levels and `infos["episode"]` for episodes that ended in this step."""
         ended = (self.done_buf != Done.RUNNING) & (self.progress_buf > 0)
-        # A diverged robot is no longer at the place that it reached.
+        # A diverged robot has lost its position.
         ended &= ~self.simulation.failed
         env_ids = env_ids[ended[env_ids]]
         if len(env_ids) == 0:
@@ -313,20 +304,18 @@ class AnymalTerrain(VelocityTrackingTask):
             "terrain_level": self.curriculum.levels.float().mean(),
         }
 
-    # --- checkpoints ------------------------------------------------------------------------
-
     def get_env_state(self) -> dict[str, Tensor]:
-        """Return the levels (N,) of the robots, for a training that is resumed."""
+        """Return the levels (N,) of the robots, for a resumed training."""
         return {"terrain_levels": self.curriculum.levels.clone()}
 
     def set_env_state(self, env_state: Any) -> None:
-        """Restore the levels, unless they belong to another ground or number of robots."""
+        """Restore the levels, unless the ground or the number of robots differs."""
         levels = env_state.get("terrain_levels") if isinstance(env_state, dict) else None
         if levels is None:
             return
         own, num_levels = self.curriculum.levels, self.terrain.origins.shape[0]
         fits = isinstance(levels, Tensor) and (levels.shape, levels.dtype) == (own.shape, own.dtype)
         if not fits or not bool(((levels >= 0) & (levels < num_levels)).all()):
-            log.info("the checkpoint's terrain levels are of another ground or number of robots")
+            log.info("the checkpoint's terrain levels do not fit this ground or number of robots")
             return
         own.copy_(levels)

@@ -1,6 +1,6 @@
-"""Keys, observations and rewards of AnymalTerrain, functions of named quantities. As IsaacGymEnvs.
+"""Settings, height scan, observations and rewards of AnymalTerrain, as in IsaacGymEnvs.
 
-The last dimension is N, the environments: (3, N), (12, N).
+The functions are pure. N is the last dimension of their tensors: (3, N), (12, N).
 """
 
 from __future__ import annotations
@@ -22,69 +22,42 @@ from isaacgymenvs_lite.tasks.base.velocity_tracking import (
     compute_tracking_rewards,
     proprioception,
 )
-from isaacgymenvs_lite.tasks.terrain.grid import TerrainConfig
-from isaacgymenvs_lite.tasks.terrain.height_scan import NUM_POINTS
+from isaacgymenvs_lite.tasks.terrain.grid import HORIZONTAL_M, VERTICAL_M, Terrain, TerrainConfig
 
 
 @dataclass(frozen=True, kw_only=True)
 class TerrainLearnConfig(LearnConfig):
-    """`task.env.learn` of AnymalTerrain; rewards are per second, except for a fall's."""
+    """`task.env.learn` of AnymalTerrain; each `..._noise` is half the width of uniform noise."""
 
     torque_reward: float = setting(-0.00002, key="torqueRewardScale")
-    """Of the squared torques (Nm)."""
     lin_vel_z_reward: float = setting(-4.0, key="linearVelocityZRewardScale")
-    """Of the squared vertical velocity (m/s)."""
     ang_vel_xy_reward: float = setting(-0.05, key="angularVelocityXYRewardScale")
-    """Of the squared rates of roll and pitch (rad/s)."""
     orientation_reward: float = setting(0.0, key="orientationRewardScale")
-    """Of the squared sine of the base's inclination."""
     base_height_reward: float = setting(0.0, key="baseHeightRewardScale")
-    """Of the squared distance of the base from 0.52 m above the world's zero (m)."""
     joint_acc_reward: float = setting(-0.0005, key="jointAccRewardScale")
-    """Of the squared changes of the joints' velocities (rad/s)."""
     knee_collision_reward: float = setting(-0.25, key="kneeCollisionRewardScale")
-    """Of each knee that touches something."""
     stumble_reward: float = setting(0.0, key="feetStumbleRewardScale")
-    """Of each foot that is held from the side."""
     action_rate_reward: float = setting(-0.01, key="actionRateRewardScale")
-    """Of the squared changes of the actions."""
     air_time_reward: float = setting(1.0, key="feetAirTimeRewardScale")
-    """Of the time that a landing foot was in the air, beyond 0.5 s."""
     hip_reward: float = setting(0.0, key="hipRewardScale")
-    """Of the distances of the first joints of the legs from their default angles (rad)."""
     terminal_reward: float = setting(0.0, key="terminalReward")
-    """Of a fall, once; per second as all others, so that -10 costs 0.2 (10 * 0.02 s)."""
     allow_knee_contacts: bool = setting(True, key="allowKneeContacts")
-    """False: a knee that touches something ends the episode."""
     air_time_as_published: bool = setting(False, key="airTimeAsPublished")
-    """This project's. True: a control step counts as one simulator call (0.005 s) in the air, so
-    that a foot had to be there for 100 control steps, as in IsaacGymEnvs."""
 
     height_scale: float = setting(5.0, key="heightMeasurementScale")
-    """Factor on heights."""
     add_noise: bool = setting(True, key="addNoise")
     noise_level: float = setting(1.0, key="noiseLevel", minimum=0)
-    """Factor on all noise, which is uniform, in +- what follows."""
-    dof_pos_noise: float = setting(0.01, key="dofPositionNoise", minimum=0)
-    """rad."""
-    dof_vel_noise: float = setting(1.5, key="dofVelocityNoise", minimum=0)
-    """rad/s."""
-    lin_vel_noise: float = setting(0.1, key="linearVelocityNoise", minimum=0)
-    """m/s."""
-    ang_vel_noise: float = setting(0.2, key="angularVelocityNoise", minimum=0)
-    """rad/s."""
+    dof_pos_noise: float = setting(0.01, key="dofPositionNoise", minimum=0)  # rad
+    dof_vel_noise: float = setting(1.5, key="dofVelocityNoise", minimum=0)  # rad/s
+    lin_vel_noise: float = setting(0.1, key="linearVelocityNoise", minimum=0)  # m/s
+    ang_vel_noise: float = setting(0.2, key="angularVelocityNoise", minimum=0)  # rad/s
     gravity_noise: float = setting(0.05, key="gravityNoise", minimum=0)
-    height_noise: float = setting(0.06, key="heightMeasurementNoise", minimum=0)
-    """m."""
+    height_noise: float = setting(0.06, key="heightMeasurementNoise", minimum=0)  # m
 
     randomize_friction: bool = setting(True, key="randomizeFriction")
-    """Robots differ in their friction (there: always); False: all have the ground's."""
     friction_range: tuple[float, ...] = setting((0.5, 1.25), key="frictionRange", length=2)
-    """Of the robots' own coefficients. A contact has the mean of it and the ground's, as PhysX."""
     push_robots: bool = setting(True, key="pushRobots")
-    """False: no pushes. IsaacGymEnvs does not read the key and pushes always."""
     push_interval_s: float = setting(15.0, key="pushInterval_s", above=0)
-    """From one push of all robots to the next."""
     episode_length_s: float = setting(20.0, key="episodeLength_s", above=0)
 
 
@@ -92,22 +65,17 @@ class TerrainLearnConfig(LearnConfig):
 class TerrainControlConfig(ControlConfig):
     """`task.env.control` of AnymalTerrain."""
 
-    stiffness: float = setting(80.0, minimum=0)
-    """Nm/rad."""
+    stiffness: float = setting(80.0, minimum=0)  # Nm/rad
     decimation: int = setting(4, minimum=1)
-    """Simulator calls in a control step."""
     extra_call: bool = setting(False, key="extraSimulatorCall")
-    """This project's. True: one more, which no length and no scale counts, as in IsaacGymEnvs."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeadingCommandsConfig(CommandRangesConfig):
-    """`task.env.randomCommandVelocityRanges` of AnymalTerrain: lowest and highest."""
+    """`task.env.randomCommandVelocityRanges` of AnymalTerrain: lowest and highest command."""
 
-    linear_x: tuple[float, ...] = setting((-1.0, 1.0), length=2)
-    """m/s."""
-    yaw: tuple[float, ...] = setting((-3.14, 3.14), length=2)
-    """Of the heading (rad)."""
+    linear_x: tuple[float, ...] = setting((-1.0, 1.0), length=2)  # m/s
+    yaw: tuple[float, ...] = setting((-3.14, 3.14), length=2)  # rad, heading
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,44 +83,73 @@ class AnymalTerrainConfig(VelocityTrackingConfig):
     """`task.env` of AnymalTerrain."""
 
     clip_actions: float = setting(float("inf"), key="clipActions", above=0)
-    """Actions are clamped to this magnitude."""
     terrain: TerrainConfig = field(default_factory=TerrainConfig)
-    command_ranges: HeadingCommandsConfig = field(
-        default_factory=HeadingCommandsConfig, metadata={"key": "randomCommandVelocityRanges"}
+    command_ranges: HeadingCommandsConfig = setting(
+        HeadingCommandsConfig(), key="randomCommandVelocityRanges"
     )
     control: TerrainControlConfig = field(default_factory=TerrainControlConfig)
     learn: TerrainLearnConfig = field(default_factory=TerrainLearnConfig)
 
 
-# About the height of the base above its feet; heights are observed relative to it (m).
-_STANDING_M = 0.5
+_STANDING_M = 0.5  # heights are observed relative to it
 _WANTED_HEIGHT_M = 0.52
 _WANTED_AIR_TIME_S = 0.5
-# Below this commanded speed (m/s) no air time is rewarded.
-_WALKING_M_S = 0.1
+_WALKING_M_S = 0.1  # smaller commands earn no air time
 _STUMBLE_SIDE_N, _STUMBLE_UP_N = 5.0, 1.0
 TERM_NAMES = (
-    "lin_vel_xy",
-    "lin_vel_z",
-    "ang_vel_z",
-    "ang_vel_xy",
-    "orient",
-    "torques",
-    "joint_acc",
-    "base_height",
-    "air_time",
-    "collision",
-    "stumble",
-    "action_rate",
-    "hip",
+    *("lin_vel_xy", "lin_vel_z", "ang_vel_z", "ang_vel_xy", "orient", "torques", "joint_acc"),
+    *("base_height", "air_time", "collision", "stumble", "action_rate", "hip"),
 )
-"""Of the reward, as IsaacGymEnvs logs them."""
-# The joints that swing the legs to the side.
-_HIPS = slice(0, 12, 3)
+"""Names of the reward terms in IsaacGymEnvs' logs."""
+_HIPS = slice(0, 12, 3)  # first joint of each leg
+# Distances in front and behind, left and right, in the heading frame (m).
+_SIDE_X = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+_SIDE_Y = (0.1, 0.2, 0.3, 0.4, 0.5)
+NUM_POINTS = 4 * len(_SIDE_X) * len(_SIDE_Y)
+
+
+def scan_points() -> Tensor:
+    """Return the points (2, 140) around a robot (m) in IsaacGymEnvs' order: y varies fastest."""
+    x = torch.tensor([*(-v for v in reversed(_SIDE_X)), *_SIDE_X])
+    y = torch.tensor([*(-v for v in reversed(_SIDE_Y)), *_SIDE_Y])
+    return torch.stack(torch.meshgrid(x, y, indexing="ij")).flatten(1)
+
+
+class HeightScan:
+    """Measures the ground around N robots.
+
+    The height at a point is the lower of two opposite corners of its grid square, as in
+    IsaacGymEnvs.
+    """
+
+    def __init__(self, terrain: Terrain, device: torch.device) -> None:
+        samples = torch.from_numpy(terrain.samples)
+        lower = torch.minimum(samples[:-1, :-1], samples[1:, 1:])
+        self._heights = (lower * VERTICAL_M).to(device)
+        self._last = [n - 1 for n in self._heights.shape]
+        self._border = terrain.border_m
+        self._points = scan_points().to(device)[..., None]
+
+    def __call__(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
+        """Return the ground heights (140, N) in m around robots at `root_pos` (N, 3) m.
+
+        Of `root_rot` (N, 4) xyzw only z and w are used, as a rotation about z.
+        """
+        z, w = root_rot[:, 2], root_rot[:, 3]
+        length = (z * z + w * w).clamp(min=1e-12)
+        cos, sin = (w * w - z * z) / length, 2.0 * w * z / length
+        ahead, aside = self._points
+        x = ahead * cos - aside * sin + root_pos[:, 0]
+        y = ahead * sin + aside * cos + root_pos[:, 1]
+        rows, columns = self._samples_at(x, self._last[0]), self._samples_at(y, self._last[1])
+        return self._heights.take(rows.mul_(self._heights.shape[1]).add_(columns))
+
+    def _samples_at(self, coordinates: Tensor, last: int) -> Tensor:
+        return coordinates.add_(self._border).div_(HORIZONTAL_M).clamp_(0, last).long()
 
 
 def noise_widths(cfg: TerrainLearnConfig) -> Tensor:
-    """Return half the widths (188,) of the noise on observations, in their units."""
+    """Return half the widths (188,) of the observation noise, in observation units."""
     parts = (
         (3, cfg.lin_vel_noise * cfg.lin_vel_scale),
         (3, cfg.ang_vel_noise * cfg.ang_vel_scale),
@@ -176,20 +173,12 @@ def compute_anymal_terrain_observations(
     actions: Tensor,
     cfg: TerrainLearnConfig,
 ) -> Tensor:
-    """Return the observations (N, 188), without noise.
+    """Return the observations (N, 188) without noise.
 
-    Linear and angular velocity, gravity, 3 commands, 12 joint positions (not from the default
-    angles, as in Anymal) and velocities, 140 heights, 12 actions.
-
-    Args:
-        motion: of the base, in its frame.
-        commands: (3 or more, N) m/s and rad/s.
-        dof_pos: (12, N) rad.
-        dof_vel: (12, N) rad/s.
-        base_height: (N,) m.
-        ground: (140, N) m.
-        actions: (12, N) of the last step.
-        cfg: the scales.
+    First come linear and angular velocity, gravity and 3 commands. Then come 12 joint positions and
+    velocities, 140 heights, and 12 actions. Joint positions are absolute, unlike Anymal's. The
+    shapes of the arguments are (3 or more, N) and (12, N). `base_height` (N,) and the heights
+    `ground` (140, N) are in m.
     """
     heights = (base_height - _STANDING_M - ground).clamp_(-1.0, 1.0).mul_(cfg.height_scale)
     return torch.cat(
@@ -198,15 +187,10 @@ def compute_anymal_terrain_observations(
 
 
 def compute_air_time(air_time_s: Tensor, on_ground: Tensor, dt: float) -> tuple[Tensor, Tensor]:
-    """Return how long feet are in the air now, and by how much those that land exceeded 0.5 s.
+    """Return new air times (F, N) s, and how much the landing feet exceeded 0.5 s in total, (N,) s.
 
-    Args:
-        air_time_s: (F, N) before this step.
-        on_ground: (F, N) bool, in this step.
-        dt: time that a step counts (s).
-
-    Returns:
-        (F, N) s, zero on the ground; (N,) s, summed over the feet that land in this step.
+    `air_time_s` (F, N) is the state before the step, `on_ground` (F, N) bool the contacts in the
+    step, and `dt` the duration of the step (s).
     """
     lands = on_ground & (air_time_s > 0.0)
     air_time_s = air_time_s + dt
@@ -215,44 +199,26 @@ def compute_air_time(air_time_s: Tensor, on_ground: Tensor, dt: float) -> tuple[
 
 
 class WalkStep(NamedTuple):
-    """The quantities that the reward of a step depends on.
-
-    Attributes:
-        motion: of the base, in its frame.
-        commands: (3 or more, N) m/s and rad/s.
-        base_height: (N,) m.
-        dof_offset: (12, N) of the joints from their default angles (rad).
-        dof_vel: (12, N) rad/s.
-        last_dof_vel: (12, N) before the step.
-        torques: (12, N) Nm.
-        actions: (12, N).
-        last_actions: (12, N) of the step before.
-        knees_in_contact: (K, N) bool.
-        foot_forces: (3, F, N) in world axes (N).
-        air_time_beyond_s: (N,) see `compute_air_time`.
-    """
+    """Quantities that determine the reward of a step."""
 
     motion: BaseMotion
-    commands: Tensor
-    base_height: Tensor
-    dof_offset: Tensor
-    dof_vel: Tensor
-    last_dof_vel: Tensor
-    torques: Tensor
-    actions: Tensor
-    last_actions: Tensor
-    knees_in_contact: Tensor
-    foot_forces: Tensor
-    air_time_beyond_s: Tensor
+    commands: Tensor  # (3 or more, N) m/s and rad/s
+    base_height: Tensor  # (N,) m
+    dof_offset: Tensor  # (12, N) rad, from the default angles
+    dof_vel: Tensor  # (12, N) rad/s
+    last_dof_vel: Tensor  # (12, N) before the step
+    torques: Tensor  # (12, N) Nm
+    actions: Tensor  # (12, N)
+    last_actions: Tensor  # (12, N) of the previous step
+    knees_in_contact: Tensor  # (K, N) bool
+    foot_forces: Tensor  # (3, F, N) N, in world axes
+    air_time_beyond_s: Tensor  # (N,) see `compute_air_time`
 
 
 def compute_anymal_terrain_reward(step: WalkStep, cfg: TerrainLearnConfig, dt: float) -> Terms:
-    """Return the terms (N,) of the reward, by the names that IsaacGymEnvs logs them under.
+    """Return the reward terms (N,) by IsaacGymEnvs' names.
 
-    Args:
-        step: see `WalkStep`.
-        cfg: the weights of the terms per second.
-        dt: time of a control step (s).
+    The weights of `cfg` are per second, and `dt` is the time of a control step (s).
     """
     motion = step.motion
     along, turning = compute_tracking_rewards(step.commands, motion)

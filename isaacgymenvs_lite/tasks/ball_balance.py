@@ -1,12 +1,12 @@
-"""BallBalance: a tray on three legs keeps a ball that falls onto it. As IsaacGymEnvs.
+"""BallBalance: a tray on three legs balances a ball that falls onto it, as in IsaacGymEnvs.
 
-Quirks kept, because policies depend on them: the three sensors are observed component by
-component, not one after the other; of the force only the x component is observed.
+The task keeps two quirks: the three sensors are observed component by component, and of the forces
+only the x component is observed.
 
-What differs from the original: Isaac's force sensors have no twin in MuJoCo. The three sensors
-here report the contact force and torque on the tray, in its frame and about three points of it,
-without the forces of legs and joints. The feet are pinned to the ground and do not
-collide with it. The ball has no angular damping.
+MuJoCo has no counterpart of Isaac Gym's force sensors. The three sensors measure the contact force
+and torque on the tray instead, in its frame and about three points. They exclude the forces of legs
+and joints. The feet are pinned to the ground and do not collide with it. The ball has no angular
+damping.
 """
 
 from __future__ import annotations
@@ -32,10 +32,9 @@ _BALL_RADIUS_M = 0.1
 _PAID_HEIGHT_M = 0.7
 _LOST_HEIGHT_M = 1.5 * _BALL_RADIUS_M
 _SENSOR_SCALE = 1.0 / 20.0
-_SENSOR_DISTANCE_M = 0.4  # of the sensors from the middle of the tray
+_SENSOR_DISTANCE_M = 0.4  # from the middle of the tray
 _SENSOR_ANGLES_RAD = (0.0, math.radians(120.0), math.radians(240.0))
 
-# Where and how fast a ball starts
 _START_DISTANCE_M = (0.001, 0.5)  # from the vertical axis of the tray
 _START_HEIGHT_M = (1.0, 2.0)
 _MAX_START_SPEED_M_S = 5.0  # towards the axis, at the largest distance
@@ -47,9 +46,7 @@ class BallBalanceConfig(TaskConfig):
     """`task.env` of BallBalance."""
 
     episode_length: int = setting(500, key="maxEpisodeLength", minimum=2)
-    """Control steps of an episode."""
-    action_speed_scale: float = setting(20.0, key="actionSpeedScale", minimum=0)
-    """Speed (rad/s) at which a full action moves the target of a joint."""
+    action_speed_scale: float = setting(20.0, key="actionSpeedScale", minimum=0)  # rad/s
 
 
 def compute_bbot_observations(
@@ -62,16 +59,9 @@ def compute_bbot_observations(
 ) -> Tensor:
     """Return the observations (N, 24).
 
-    3 joint positions, 3 joint velocities, position and velocity of the ball, then of the three
-    sensors the forces along x, the torques about x, those about y and those about z, over 20.
-
-    Args:
-        dof_pos: (N, 3) rad, of the driven joints.
-        dof_vel: (N, 3) rad/s.
-        ball_pos: (N, 3) m.
-        ball_vel: (N, 3) m/s.
-        sensor_force_x: (3, N) N, sensor by sensor, in the tray's frame.
-        sensor_torques: (3, 3, N) Nm, component by component, each sensor by sensor.
+    First come positions (rad) and velocities (rad/s) of the driven joints, and position (m) and
+    velocity (m/s) of the ball, (N, 3) each. Then come the sensors' forces along x (3, N), and
+    torques (3, 3, N) about x, y and z. They are in the tray's frame and divided by 20.
     """
     sensors = torch.cat((sensor_force_x, sensor_torques.flatten(0, 1))).t()
     return torch.cat((dof_pos, dof_vel, ball_pos, ball_vel, sensors * _SENSOR_SCALE), dim=-1)
@@ -80,12 +70,8 @@ def compute_bbot_observations(
 def compute_bbot_reward(ball_pos: Tensor, ball_vel: Tensor) -> Terms:
     """Return the terms (N,) of the reward 1 / (1 + distance) / (1 + speed).
 
-    `near` is the reward of a ball at rest, largest on the axis 0.7 m above the ground; `speed` is
-    the share that its motion costs.
-
-    Args:
-        ball_pos: (N, 3) m.
-        ball_vel: (N, 3) m/s.
+    `near` is the reward of a ball at rest and is largest on the axis, 0.7 m above the ground.
+    `speed` is the reduction by the ball's speed.
     """
     x, y, z = ball_pos.unbind(-1)
     near = 1.0 / (1.0 + torch.sqrt(x * x + y * y + (z - _PAID_HEIGHT_M).square()))
@@ -94,7 +80,7 @@ def compute_bbot_reward(ball_pos: Tensor, ball_vel: Tensor) -> Terms:
 
 
 def compute_bbot_failures(ball_height: Tensor) -> Tensor:
-    """Return (N,) bool: the ball (m above the ground) fell from the tray."""
+    """Return (N,) bool: the ball (height in m) fell off the tray."""
     return ball_height < _LOST_HEIGHT_M
 
 
@@ -115,12 +101,9 @@ def draw_ball_states(env_ids: Tensor) -> Tensor:
 
 
 class BallBalance(MjcfTask):
-    """N trays with balls: 24 observations, 3 actions. Keys: `BallBalanceConfig`.
+    """N trays with balls, 24 observations and 3 actions.
 
-    Actions are the speeds of the position targets of the lower legs' joints.
-
-    Attributes:
-        targets: (N, 3) position targets (rad), which stay from step to step.
+    An action is the speed of the position target of a lower leg's joint.
     """
 
     settings_class = BallBalanceConfig
@@ -132,11 +115,11 @@ class BallBalance(MjcfTask):
     zero_action_at_reset = True
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
-        """Make the drives stiff enough for a chain that is closed through the ground."""
+        """Integrate the drives implicitly, because the ground closes the kinematic chain."""
         integrate_drives_implicitly(spec, self.sim_cfg.dt / self.sim_cfg.substeps)
 
     def create_sim(self) -> None:
-        """Make the simulations, and look up joints, tray and sensors."""
+        """Create the simulations and look up joints, tray and sensors."""
         super().create_sim()
         device = self.device
         driven = [self.simulation.dof_names.index(name) for name in _DRIVEN_JOINTS]
@@ -153,7 +136,7 @@ class BallBalance(MjcfTask):
     def allocate_buffers(self) -> None:
         """Add the position targets."""
         super().allocate_buffers()
-        self.targets = torch.zeros(self.num_envs, self.num_actions, device=self.device)
+        self.targets = torch.zeros(self.num_envs, self.num_actions, device=self.device)  # rad
 
     def compute_controls(self, actions: Tensor) -> Tensor:
         """Return the position targets (N, 3) in rad, moved by the actions."""
@@ -169,7 +152,8 @@ class BallBalance(MjcfTask):
         """See `compute_bbot_observations`."""
         sim = self.simulation
         ball = self._ball_states()
-        wrench = self._tray_wrench()
+        # (6, N) in the tray's frame, about its middle
+        wrench = measure_wrenches(self.simulation, ("tray",))[:, 0]
         return compute_bbot_observations(
             sim.dof_pos.index_select(1, self._driven),
             sim.dof_vel.index_select(1, self._driven),
@@ -182,10 +166,6 @@ class BallBalance(MjcfTask):
     def _ball_states(self) -> Tensor:
         return self.simulation.object_states[:, self._ball]
 
-    def _tray_wrench(self) -> Tensor:
-        """Return (6, N) contact force and torque on the tray, about its middle, in its frame."""
-        return measure_wrenches(self.simulation, ("tray",))[:, 0]
-
     def compute_reward_terms(self) -> Terms:
         """See `compute_bbot_reward`."""
         ball = self._ball_states()
@@ -196,7 +176,7 @@ class BallBalance(MjcfTask):
         return compute_bbot_failures(self._ball_states()[:, 2])
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Legs and tray as in the model; see `draw_ball_states` for the ball."""
+        """Reset legs and tray to the model's pose, and draw the ball's state."""
         n = len(env_ids)
         zeros = torch.zeros(n, len(self.simulation.dof_names), device=self.device)
         self.simulation.write_state(env_ids, self.initial_root.repeat(n, 1), zeros, zeros)

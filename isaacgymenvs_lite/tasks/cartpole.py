@@ -1,6 +1,6 @@
-"""Cartpole: a pole hinged to a cart is kept upright by pushing the cart. As IsaacGymEnvs.
+"""Cartpole: pushing a cart keeps a hinged pole upright, as in IsaacGymEnvs.
 
-Not kept from the original: a published URDF of the asset is not read, its model is ours.
+The model is this project's; the published URDF file is not read.
 """
 
 from __future__ import annotations
@@ -29,10 +29,8 @@ _START_VEL = 0.25  # m/s and rad/s
 class CartpoleConfig(TaskConfig):
     """`task.env` of Cartpole."""
 
-    reset_dist: float = setting(3.0, key="resetDist", above=0)
-    """Distance of the cart from the middle of the rail (m) at which the episode ends."""
-    max_effort: float = setting(400.0, key="maxEffort", minimum=0)
-    """Force on the cart (N) of a full action."""
+    reset_dist: float = setting(3.0, key="resetDist", above=0)  # m
+    max_effort: float = setting(400.0, key="maxEffort", minimum=0)  # N
 
 
 def compute_cartpole_observations(
@@ -45,14 +43,9 @@ def compute_cartpole_observations(
 def compute_cartpole_reward(
     pole_angle: Tensor, pole_vel: Tensor, cart_vel: Tensor, cart_pos: Tensor, reset_dist: float
 ) -> Terms:
-    """Return the reward's terms (N,): upright and slow, or a failure.
+    """Return the reward terms (N,): upright and slow, or a failure.
 
-    Args:
-        pole_angle: (N,) rad, 0 upright.
-        pole_vel: (N,) rad/s.
-        cart_vel: (N,) m/s.
-        cart_pos: (N,) m.
-        reset_dist: as the key resetDist, m.
+    Quantities (N,) are in rad, rad/s, m/s and m; a pole angle of 0 is upright.
     """
     terms = {
         "upright": 1.0 - pole_angle.square(),
@@ -64,12 +57,12 @@ def compute_cartpole_reward(
 
 
 def compute_cartpole_failures(pole_angle: Tensor, cart_pos: Tensor, reset_dist: float) -> Tensor:
-    """Return (N,) bool: the cart (m) went too far or the pole (rad) fell."""
+    """Return (N,) bool: the cart (m) is too far away or the pole (rad) fell."""
     return (cart_pos.abs() > reset_dist) | (pole_angle.abs() > _MAX_ANGLE_RAD)
 
 
 class Cartpole(MjcfTask):
-    """N cart-poles: 4 observations, 1 action. Keys: `CartpoleConfig`."""
+    """N cart-poles with 4 observations and 1 action."""
 
     settings_class = CartpoleConfig
     default_asset = "mjcf/cartpole.xml"
@@ -79,7 +72,7 @@ class Cartpole(MjcfTask):
     num_actions = 1
 
     def episode_length(self) -> int:
-        """Return the control steps of an episode."""
+        """Return the number of control steps in an episode."""
         return _EPISODE_LENGTH
 
     def observation_groups(self) -> dict[str, int]:
@@ -87,12 +80,12 @@ class Cartpole(MjcfTask):
         return {"cart_pos": 1, "cart_vel": 1, "pole_angle": 1, "pole_vel": 1}
 
     def action_scaling(self) -> ActionScaling:
-        """Return the force on the cart, N."""
+        """Return the mapping from actions to the force on the cart (N)."""
         effort = torch.tensor([self.env_cfg.max_effort])
         return ActionScaling("N", torch.zeros(1), effort)
 
     def compute_controls(self, actions: Tensor) -> Tensor:
-        """Return the force on the cart (N, 1) in N."""
+        """Return the forces (N, 1) on the carts in N."""
         return actions * self.env_cfg.max_effort
 
     def compute_obs(self) -> Tensor:
@@ -113,7 +106,7 @@ class Cartpole(MjcfTask):
         return compute_cartpole_failures(pos[:, 1], pos[:, 0], self.env_cfg.reset_dist)
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Near the middle, nearly upright, nearly at rest."""
+        """Place the carts near the middle, with poles nearly upright, all nearly at rest."""
         n = len(env_ids)
         pos = uniform(env_ids, -_START_POS, _START_POS, (2,))
         vel = uniform(env_ids, -_START_VEL, _START_VEL, (2,))

@@ -1,8 +1,8 @@
-"""Humanoid: a body of 21 hinges that learns to run along +x. As IsaacGymEnvs.
+"""Humanoid: a body of 21 hinges learns to run along +x, as in IsaacGymEnvs.
 
-Quirks kept, because policies and curves depend on them: `angle_to_target` (see
-`locomotion`); the cost of energy uses the scaled joint velocity. MuJoCo has no counterpart of the
-body's angular damping (0.01 1/s) and largest angular velocity (100 rad/s).
+The task keeps two quirks: `angle_to_target` is wrong (see `locomotion`), and the energy cost uses
+the scaled joint velocity. MuJoCo has no counterpart of the body's angular damping (0.01 1/s) and
+largest angular velocity (100 rad/s).
 """
 
 from __future__ import annotations
@@ -23,14 +23,12 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms, replace_where
 from isaacgymenvs_lite.utils.rotations import normalize_angle
 from isaacgymenvs_lite.utils.scaling import unscale
 
-# Torques of full actions.
 _ABDOMEN_NM = (67.5, 67.5, 67.5)  # z, y, x
 _LEG_NM = (45.0, 45.0, 135.0, 90.0, 22.5, 22.5)  # hip x, z, y; knee; ankle y, x
 _ARM_NM = (67.5, 67.5, 45.0)  # shoulder 1, 2; elbow
 
 _ALIVE_REWARD = 2.0
-# Beyond this share of its range a joint counts as at its limit.
-_AT_LIMIT = 0.98
+_AT_LIMIT = 0.98  # share of the range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,20 +36,12 @@ class HumanoidConfig(LocomotionConfig):
     """`task.env` of Humanoid: the keys of `LocomotionConfig` with other defaults."""
 
     actions_cost: float = setting(0.01, key="actionsCost")
-    """Of the squared actions."""
     dof_velocity_scale: float = setting(0.1, key="dofVelocityScale")
-    """Factor on joint velocities in the observation."""
     angular_velocity_scale: float = setting(0.1, key="angularVelocityScale")
-    """Factor on the torso's angular velocity in the observation; the task file has 0.25, this is
-    for files without the key, as in IsaacGymEnvs."""
     contact_force_scale: float = setting(0.01, key="contactForceScale")
-    """Factor on forces and torques, of joints too, in the observation."""
     joints_at_limit_cost: float = setting(0.25, key="jointsAtLimitCost")
-    """Of joints at their limits, growing from 98% of the range on."""
     death_cost: float = setting(-1.0, key="deathCost")
-    """Reward of a step that ends in a fall."""
-    termination_height: float = setting(0.8, key="terminationHeight")
-    """Height of the torso (m) below which it fell."""
+    termination_height: float = setting(0.8, key="terminationHeight")  # m
 
 
 def compute_humanoid_observations(
@@ -65,22 +55,15 @@ def compute_humanoid_observations(
     actions: Tensor,
     cfg: LocomotionConfig,
 ) -> Tensor:
-    """Return the observations (N, 108), as IsaacGymEnvs.
+    """Return the observations (N, 108).
 
-    Height, velocities in the torso's frame, yaw, roll and angle to the target within +-pi,
-    `up_proj`, `heading_proj`, 21 joint positions as shares of their ranges, 21 joint velocities,
-    21 joint torques, 2 x 6 forces and torques on the feet, 21 actions.
+    First come height, velocities in the torso frame, yaw, roll and angle to the target within +-pi,
+    `up_proj` and `heading_proj`. Then come 21 joint positions scaled to [-1, 1], 21 joint
+    velocities, 21 joint torques, 2 x 6 contact forces and torques on the feet, and 21 actions.
 
-    Args:
-        torso: see `compute_torso_state`.
-        dof_pos: (N, 21) rad.
-        dof_vel: (N, 21) rad/s.
-        dof_forces: (N, 21) Nm, of motors, springs and dampers.
-        lower: (21,) rad.
-        upper: (21,) rad.
-        foot_wrenches: (12, N) N and Nm, right foot then left, in the feet's frames.
-        actions: (N, 21) of the last step.
-        cfg: the scales.
+    Joint quantities are (N, 21) in rad, rad/s and Nm, their limits (21,). The torques include
+    springs and dampers. The foot wrenches (12, N) are in N and Nm, right then left foot, in the
+    foot frames.
     """
     angles = normalize_angle(torch.stack((torso.yaw, torso.roll, torso.angle_to_target)))
     return torch.cat(
@@ -109,16 +92,11 @@ def compute_humanoid_reward(
     motor_effort_ratio: Tensor,
     cfg: LocomotionConfig,
 ) -> Terms:
-    """Return the terms (N,) of the reward, as IsaacGymEnvs.
+    """Return the reward terms (N,).
 
-    Args:
-        torso: see `compute_torso_state`.
-        progress_m_s: (N,) speed towards the target.
-        actions: (N, 21).
-        dof_pos_share: (N, 21) joint positions in their ranges, -1 to 1.
-        dof_vel_scaled: (N, 21) joint velocities times dofVelocityScale.
-        motor_effort_ratio: (21,) torque of a full action as a share of the strongest joint's.
-        cfg: weights and costs.
+    `progress_m_s` (N,) is the speed towards the target. Joint quantities are (N, 21), scaled as in
+    the observation. `motor_effort_ratio` (21,) is the torque of a full action, divided by the
+    largest of these torques.
     """
     # 0 at 98% of the range, 1 at the limit.
     at_limit = ((dof_pos_share.abs() - _AT_LIMIT) / (1.0 - _AT_LIMIT)).clamp(min=0.0)
@@ -132,11 +110,7 @@ def compute_humanoid_reward(
 
 
 class Humanoid(LocomotionTask):
-    """N humanoids: 108 observations, 21 joint torques. Keys: `HumanoidConfig`.
-
-    Attributes:
-        motor_effort_ratio: (21,) see `compute_humanoid_reward`.
-    """
+    """N humanoids with 108 observations and 21 joint torques."""
 
     settings_class = HumanoidConfig
     default_asset = "mjcf/humanoid.xml"
@@ -148,11 +122,10 @@ class Humanoid(LocomotionTask):
     torques_nm = (*_ABDOMEN_NM, *_LEG_NM, *_LEG_NM, *_ARM_NM, *_ARM_NM)
 
     def create_sim(self) -> None:
-        """Make the simulations, which measure the torques of the joints."""
+        """Create the simulations and start measuring joint torques."""
         super().create_sim()
         self.motor_effort_ratio = self.motor_efforts / self.motor_efforts.max()
-        # The backend measures these torques from when they are first read.
-        _ = self.simulation.dof_forces
+        _ = self.simulation.dof_forces  # the first read starts the measurement
 
     def observation_groups(self) -> dict[str, int]:
         """See `compute_humanoid_observations`."""

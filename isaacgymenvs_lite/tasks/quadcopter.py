@@ -1,17 +1,16 @@
-"""Quadcopter: four rotors on two hinges each; hover 1 m above the ground. As IsaacGymEnvs.
+"""Quadcopter: four rotors on two hinges each hover 1 m above the ground, as in IsaacGymEnvs.
 
-Quirks kept, because policies and curves depend on them: one full action moves a thrust
-from nothing to its maximum, and the thrusts are not observed.
+The task keeps two quirks: one full action moves a thrust from zero to its maximum, and the thrusts
+are not observed.
 
-The drives of the rotors' hinges have a stiffness of 1000 Nm/rad and no damping. They are stable
-because they are integrated implicitly, which here is an armature of 0.025 kg m^2 and a damping of
-5 Nm s/rad in steps of 0.005 s (see `drives`): a hinge is at its target after one step.
+The hinge drives have a stiffness of 1000 Nm/rad and no damping. Implicit integration makes them
+stable, see `drives`. It adds an armature of 0.025 kg m^2 and a damping of 5 Nm s/rad in steps of
+0.005 s. A hinge reaches its target in one step.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import mujoco
 import torch
@@ -31,34 +30,25 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 
 _NUM_HINGES = 8
 _NUM_ROTORS = 4
-_HINGE_SPEED_RAD_S = 8.0 * math.pi  # of a target, by a full action
-_THRUST_SPEED_N_S = 200.0  # of a thrust, by a full action
+_HINGE_SPEED_RAD_S = 8.0 * math.pi  # by a full action
+_THRUST_SPEED_N_S = 200.0  # by a full action
 _MAX_THRUST_N = 2.0
 _START_ANGLE_RAD = 0.2
 
 
-@dataclass(frozen=True, kw_only=True)
-class QuadcopterConfig(HoverConfig):
-    """`task.env` of Quadcopter."""
-
-
 def compute_quadcopter_reward(to_target: Tensor, root_rot: Tensor, spin: Tensor) -> Terms:
-    """Return the terms (N,) of the reward, 3 at most; see `compute_hover_reward`."""
+    """Return the reward terms (N,), at most 3 in total; see `compute_hover_reward`."""
     return compute_hover_reward(to_target, root_rot, spin, upright_weight=1.0)
 
 
 class Quadcopter(HoverTask):
-    """N quadcopters: 21 observations, 12 actions. Keys: `QuadcopterConfig`.
+    """N quadcopters with 21 observations and 12 actions.
 
-    Observations: see `compute_flight_observations`, then the 8 hinges' positions (rad).
-    Actions: speeds of the 8 hinges' position targets, then of the 4 thrusts.
-
-    Attributes:
-        targets: (N, 8) position targets of the hinges (rad), which stay from step to step.
-        thrusts: (N, 4) N, along the rotors' own z axes, which stay from step to step.
+    The observations are `compute_flight_observations` and the positions of the 8 hinges (rad). The
+    actions are the speeds of the 8 hinge targets and of the 4 thrusts.
     """
 
-    settings_class = QuadcopterConfig
+    settings_class = HoverConfig
     default_asset = "mjcf/quadcopter.xml"
     actor_name = "quadcopter"
     num_observations = 21
@@ -67,11 +57,11 @@ class Quadcopter(HoverTask):
     min_height_m = 0.3
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
-        """Make the undamped drives stable."""
+        """Integrate the undamped drives implicitly, which makes them stable."""
         integrate_drives_implicitly(spec, self.sim_cfg.dt / self.sim_cfg.substeps)
 
     def create_sim(self) -> None:
-        """Make the simulations, and look up the limits of the hinges."""
+        """Create the simulations and look up the limits of the hinges."""
         super().create_sim()
         limits = torch.from_numpy(hinge_limits(self._model, self._layout)).float()
         self._lower, self._upper = limits.to(self.device).unbind(-1)
@@ -80,8 +70,8 @@ class Quadcopter(HoverTask):
     def allocate_buffers(self) -> None:
         """Add position targets and thrusts."""
         super().allocate_buffers()
-        self.targets = torch.zeros(self.num_envs, _NUM_HINGES, device=self.device)
-        self.thrusts = torch.zeros(self.num_envs, _NUM_ROTORS, device=self.device)
+        self.targets = torch.zeros(self.num_envs, _NUM_HINGES, device=self.device)  # rad
+        self.thrusts = torch.zeros(self.num_envs, _NUM_ROTORS, device=self.device)  # N, along z
 
     def compute_controls(self, actions: Tensor) -> Tensor:
         """Return position targets (rad) and thrusts (N), (N, 12), moved by the actions."""
@@ -92,7 +82,7 @@ class Quadcopter(HoverTask):
         return torch.cat((self.targets, self.thrusts), dim=-1)
 
     def to_target(self) -> Tensor:
-        """Return the ways (N, 3) to the place 1 m above the origin (m)."""
+        """Return the vectors (N, 3) to the point 1 m above the origin (m)."""
         return self._target_pos - self.simulation.root_states[:, :3]
 
     def observation_groups(self) -> dict[str, int]:
@@ -109,7 +99,7 @@ class Quadcopter(HoverTask):
         return compute_quadcopter_reward(self.to_target(), root[:, 3:7], root[:, 12])
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Near the target and at rest, with the rotors tilted a little and without thrust."""
+        """Place the quadcopters near the target and at rest, with tilted rotors and no thrust."""
         pos = uniform(env_ids, -_START_ANGLE_RAD, _START_ANGLE_RAD, (_NUM_HINGES,))
         root = draw_start_states(env_ids)
         self.simulation.write_state(env_ids, root, pos, torch.zeros_like(pos))

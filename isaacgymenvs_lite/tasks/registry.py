@@ -1,4 +1,4 @@
-"""Tasks by name: of this package, added by a program, or offered by installed packages."""
+"""Registry of the tasks of this package, of programs and of installed packages."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 TaskMaker = Callable[..., VecTask]
 
 isaacgym_task_map: dict[str, TaskMaker] = {}
-"""Class of each task by the `name` of its task file."""
+"""Class or function that makes each task, by the `name` in its task file."""
 
 
 def register_task(name: str, task: TaskMaker, *, replace: bool = False) -> None:
-    """Add a task that task files can name, `name: <name>`.
+    """Register a task under the `name` of its task file.
 
     Args:
-        name: as in the task file.
-        task: a class, or a function that makes a `VecTask` of the keyword arguments `cfg`,
+        name: the name.
+        task: a class, or a function that returns a `VecTask` for the keyword arguments `cfg`,
             `rl_device`, `sim_device`, `graphics_device_id`, `headless`, `virtual_screen_capture`,
             `force_render`.
-        replace: take the place of a task of this name.
+        replace: True replaces a registered task of this name.
 
     Raises:
-        ConfigError: there is another task of this name.
+        ConfigError: another task has this name.
     """
     known = isaacgym_task_map.get(name)
     if known is not None and known is not task and not replace:
         raise ConfigError(
-            f"register_task('{name}'): there is a task of this name already, {known!r}; choose"
-            " another name, or replace=True"
+            f"register_task('{name}'): {known!r} already has this name; choose another name, or"
+            " replace=True"
         )
     isaacgym_task_map[name] = task
     register_task_id(name)
 
 
 def is_task(name: str) -> bool:
-    """Return whether there is a task of this name; nothing is imported for it."""
+    """Return whether a task has this name, without importing it."""
     return name in isaacgym_task_map or name in {
         point.name for point in entry_points(group=ENTRY_POINTS)
     }
 
 
 def find_task(name: str) -> TaskMaker:
-    """Return what makes the task; an entry point is imported at its first use.
+    """Return the class or function that makes a task; import it from an installed package.
 
     Raises:
-        ConfigError: there is no such task, or the package that offers it cannot be imported.
+        ConfigError: there is no such task, or its package cannot be imported.
     """
     if name in isaacgym_task_map:
         return isaacgym_task_map[name]
@@ -61,7 +61,7 @@ def find_task(name: str) -> TaskMaker:
         register_task(name, task)
         return task
     hint = (
-        "your own: isaacgymenvs_lite.register_task, or an entry point of an installed package"
+        "add a task with isaacgymenvs_lite.register_task or an entry point of an installed package"
         " (docs/own_task.md)"
     )
     if (published := missing_task(name)) is not None:
@@ -74,11 +74,11 @@ def _load(point: EntryPoint) -> TaskMaker:
         task = cast(TaskMaker, point.load())
     except (ImportError, AttributeError) as error:
         raise ConfigError(
-            f"task.name={point.name}: the installed package offers it as {point.value}, which"
-            f" cannot be imported ({error})"
+            f"task.name={point.name}: {point.value} of an installed package cannot be imported"
+            f" ({error})"
         ) from error
     if not callable(task):
         raise ConfigError(
-            f"task.name={point.name}: {point.value} of the installed package is no class of a task"
+            f"task.name={point.name}: {point.value} of an installed package is no task class"
         )
     return task

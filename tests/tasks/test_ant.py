@@ -14,9 +14,8 @@ from isaacgymenvs_lite.tasks.base.locomotion import (
     TorsoState,
     compute_potentials,
     compute_torso_state,
-    heading_reward,
+    running_terms,
     unscale,
-    up_reward,
 )
 from isaacgymenvs_lite.utils.rotations import normalize, quat_rotate_inverse
 
@@ -94,9 +93,11 @@ def test_a_fall_costs_two_and_nothing_else_counts() -> None:
 def test_heading_and_uprightness_are_paid_in_full_from_their_thresholds() -> None:
     shares = torch.tensor([-0.4, 0.4, 0.79, 0.81, 1.0])
     expected = torch.tensor([-0.25, 0.25, 0.49375, 0.5, 0.5])
-    torch.testing.assert_close(heading_reward(shares, 0.5), expected)
-    heights = torch.tensor([0.92, 0.94])
-    torch.testing.assert_close(up_reward(heights, 0.1), torch.tensor([0.0, 0.1]))
+    torso = compute_torso_state(root_states([0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0]))
+    torso = torso._replace(heading_proj=shares, up_proj=torch.tensor([0.92, 0.94, 0.0, 0.0, 0.0]))
+    terms = running_terms(torso, torch.zeros(5), torch.zeros(5, 8), 0.5, LocomotionConfig())
+    torch.testing.assert_close(terms["heading"], expected)
+    torch.testing.assert_close(terms["up"], torch.tensor([0.0, 0.1, 0.0, 0.0, 0.0]))
 
 
 @pytest.fixture

@@ -206,9 +206,9 @@ def test_what_cannot_be_used_is_named(make_task) -> None:
         ("task.env.control.controlFrequencyInv=2", "controlFrequencyInv"),
         ("task.env.urdfAsset.fixBaseLink=True", "fixBaseLink"),
         ("+task.env.learn.torqueRewardScal=1", "did you mean 'torqueRewardScale'"),
-        ("+task.env.urdfAsset.kneeName=ELBOW", "kneeName='ELBOW': no body is called so"),
-        ("+task.env.defaultJointAngles.TAIL=1", "defaultJointAngles: no joint is called TAIL"),
-        ("~task.env.defaultJointAngles.RF_KFE", "defaultJointAngles: RF_KFE is missing"),
+        ("+task.env.urdfAsset.kneeName=ELBOW", "kneeName='ELBOW': no body name contains it"),
+        ("+task.env.defaultJointAngles.TAIL=1", "defaultJointAngles: unknown joint TAIL"),
+        ("~task.env.defaultJointAngles.RF_KFE", "defaultJointAngles: missing joint RF_KFE"),
     ]:
         overrides = [override]
         if "torqueRewardScal=" in override:

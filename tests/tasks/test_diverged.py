@@ -100,7 +100,7 @@ def test_an_action_that_is_not_finite_is_a_failure(
         assert rewards.isfinite().all()
         assert obs["obs"].isfinite().all()
         task.reset_done()
-    said = [text for text in caplog.messages if "an action of environment 2 is not finite" in text]
+    said = [text for text in caplog.messages if "the action of environment 2 is not finite" in text]
     assert len(said) == 1
 
 

@@ -47,7 +47,7 @@ def test_a_registered_task_is_made_by_its_name(make_task) -> None:
 def test_a_name_is_not_taken_by_mistake() -> None:
     register_task("Mine", Mine)
     register_task("Mine", Mine)  # a module that is imported twice
-    with pytest.raises(ConfigError, match=r"register_task\('Cartpole'\): there is a task of this"):
+    with pytest.raises(ConfigError, match=r"register_task\('Cartpole'\): .* already has this name"):
         register_task("Cartpole", Mine)
     assert isaacgym_task_map["Cartpole"] is Cartpole
     register_task("Cartpole", Mine, replace=True)
@@ -116,5 +116,5 @@ def test_an_entry_point_that_cannot_be_imported_is_named(package: Path) -> None:
     (package / "site" / "pendulum_tasks" / "swing_up.py").write_text("import lost_module\n")
     done = _train(package, "--config-dir", str(package / "cfg"), "task=SwingUp", "num_envs=2")
     assert done.returncode == 2
-    assert "task.name=SwingUp: the installed package offers it as pendulum_tasks" in done.stderr
+    assert "task.name=SwingUp: pendulum_tasks" in done.stderr
     assert "lost_module" in done.stderr

@@ -1,10 +1,10 @@
-"""Measures how far episodes stray from the clips that they started in, at the moment that fits.
+"""Compares running episodes with their clips: distance, travel and tempo.
 
-Early termination of imitation ends an episode at a fall. A policy that leaves a leap out, and
-stands, does not fall. Peng et al. 2018, "DeepMimic" (arXiv 1804.02717), has a phase that every
-episode keeps to; trackers such as PHC (Luo et al. 2023, arXiv 2305.06456) end an episode that is
-too far from its reference. An episode of AMP has a tempo of its own, so its phase is searched for:
-each control step moves it on by at least half a step, to the nearest pose a little later.
+A policy that stands instead of leaping never falls, so falls alone do not end its episodes early.
+DeepMimic (Peng et al. 2018, arXiv 1804.02717) prescribes a phase for every episode. Trackers such
+as PHC (Luo et al. 2023, arXiv 2305.06456) end an episode that is too far from its reference. An AMP
+episode has its own tempo, so its phase is searched for. Each control step advances the phase by at
+least half a step, to the nearest pose a little later.
 """
 
 from __future__ import annotations
@@ -14,69 +14,64 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState, HumanoidAMPConfig
 from isaacgymenvs_lite.tasks.amp.reference_motions import ReferenceMotions
 from isaacgymenvs_lite.tasks.base.humanoid_observations import heading_cos_sin
 from isaacgymenvs_lite.utils.state import Stateful
 
 PHASES_PER_STEP = 2
 COMPARED_S = 1.0
-"""Travel and tempo are compared over so much time."""
-# From half the tempo of the clip on; a phase that has stayed behind catches up.
-_ADVANCES = range(1, 9)
-# How much nearer a pose must be for each phase that its tempo is off, as a share of `limit_m`.
-# Where poses are alike, at rest, the phase keeps the clip's own tempo.
+"""Duration over which travel and tempo are compared."""
+_ADVANCES = range(1, 9)  # phases per control step: from half the clip's tempo to four times
+# A tempo that differs by one phase costs this share of `limit_m`. The phase therefore keeps the
+# clip's tempo among similar poses.
 _OFF_TEMPO = 0.02
-# A policy that falls after a second learns to stay up first, at half the tempo if need be: kicks
-# and first steps are slow before they are right. The limits are narrow once the mean episode has
-# lasted the second of these times. Haste is never allowed: a walk that began quick steps did not
-# come back from them.
+# The limits narrow while the mean episode grows from the first to the second of these durations. A
+# policy first learns to stay up, and its first kicks and steps are slow. Steps that are too quick
+# are never allowed, because training does not unlearn them.
 _EASED_S = (COMPARED_S, 3.0 * COMPARED_S)
 _SLOWEST_TEMPO = 0.5
-# Over how many episodes of each environment their duration is averaged, about.
-_AVERAGED_EPISODES = 4
+_AVERAGED_EPISODES = 4  # of each environment, in the mean duration
 _NONE = -1
 _TINY = 1e-9
 
 
 def distance_up_to_heading_m(points: Tensor, others: Tensor) -> Tensor:
-    """Return the mean distance (...) m of points (..., P, 3) from others, turned onto them.
+    """Return the mean distance (...) m of points (..., P, 3) from others, whatever their heading.
 
-    The turn about z is the one with the least squares. Unlike a heading, it is defined for a
-    character that is upside down.
+    The points are first turned about z to minimise the squared distances. Unlike a heading, this
+    turn is defined upside down, too.
     """
     x, y, z = points.unbind(dim=-1)
     other_x, other_y, other_z = others.unbind(dim=-1)
     dots, crosses = x * other_x + y * other_y, x * other_y - y * other_x
     dot, cross = dots.sum(dim=-1, keepdim=True), crosses.sum(dim=-1, keepdim=True)
     size = torch.hypot(dot, cross).clamp(min=_TINY)
-    turned = (dot * dots + cross * crosses) / size  # x and y after the turn times the others'
+    turned = (dot * dots + cross * crosses) / size  # scalar products after the turn
     squares = x * x + y * y + other_x * other_x + other_y * other_y + (z - other_z) ** 2
     return (squares - 2.0 * turned).clamp(min=0.0).sqrt().mean(dim=-1)
 
 
 def travel_through(root_states: Tensor, num_phases: int, repeats: bool) -> Tensor:
-    """Return how far a clip's root moves in the `num_phases` before each of its phases.
+    """Return the travel of a clip's root in the `num_phases` phases before each phase.
 
-    A clip that repeats goes on at its end as it begins: before its start the root has come from
-    the end, in the same direction. Of another clip the way to its first phases is unknown.
+    A clip that repeats continues from its end to its start, straight on. The travel to the first
+    phases of any other clip is unknown.
 
     Args:
-        root_states: (S, >= 7) of the clip's phases, whose first columns are the position (m, world)
-            and the rotation (xyzw).
-        num_phases: how long the travel lasts; it may be longer than the clip.
-        repeats: whether the clip goes on with its start after its end.
+        root_states: (S, >= 7) position (m, world) and rotation (xyzw) of the clip's phases.
+        num_phases: duration of the travel, which may exceed the clip.
+        repeats: True: the clip repeats.
 
     Returns:
         (S, 2) m, in the heading frame of the phase where the travel ends; nan where it is unknown.
     """
-    # The plane in complex numbers: a product turns.
+    # Complex numbers represent the plane, where a product turns.
     places = torch.complex(root_states[:, 0], root_states[:, 1])
     headings = torch.complex(*heading_cos_sin(*root_states[:, 3:7].unbind(-1)))
     moves = (places[1:] - places[:-1]) * headings[:-1].conj()
     turns = headings[1:] * headings[:-1].conj()
-    # From the last phase to the first again: as far as in the steps beside it, straight on.
+    # The step from the last phase to the first averages its neighbours, straight on.
     start = torch.ones_like(headings[:1])
     moves = torch.cat((moves, start * (moves[-1:].sum() + moves[:1].sum()) / 2.0))
     turns = torch.cat((turns, start))
@@ -92,50 +87,38 @@ def travel_through(root_states: Tensor, num_phases: int, repeats: bool) -> Tenso
 
 
 def points_of(state: CharacterState) -> Tensor:
-    """Return the root and the key bodies, (n, 1 + K, 3) m, from the root's place on the ground."""
+    """Return root and key bodies (n, 1 + K, 3) m, relative to the root's ground point."""
     root_pos = state[0][:, None, :3]
     return torch.cat((root_pos, state[3]), dim=1) - root_pos * root_pos.new_tensor([1, 1, 0])
 
 
 class ClipPhases(Stateful):
-    """Stores at which moment of which clip each environment is.
+    """Tracks the clip and the phase of each environment.
 
-    A clip whose end is near its start repeats; after the end of another one nothing is measured.
-
-    A character that rests in a pose of a walk is near the clip, but its root travels less than the
-    clip's; so travel can be compared, too. One that takes steps of half the length, twice as many,
-    is near it and travels as far; so tempo can be compared.
+    A clip repeats if its end is near its start. Other clips are not compared beyond their end. A
+    character that rests in a pose of a walk is near the clip, but travels less. A character that
+    takes steps of half the length, twice as many, is near the clip and travels as far. Therefore
+    travel and tempo can be compared, too.
 
     Args:
-        clips: of each clip (S, P, 3) m, points of the body, relative to the root's place on the
-            ground, `PHASES_PER_STEP` times in a control step from time 0 on.
+        clips: points (S, P, 3) m of the body for each clip, relative to the root's ground point,
+            `PHASES_PER_STEP` times per control step from time 0 on.
         num_envs: N.
-        dt_s: control step.
-        limit_m: how far an episode may be from its clip while episodes are short, see
-            `current_limit_m`. A clip repeats if its end is nearer than this to its start.
-        root_states: of each clip (S, >= 7), of the same moments: position (m, world) and rotation
+        dt_s: duration of a control step.
+        limit_m: largest distance while episodes are short, see `current_limit_m`. A clip repeats if
+            its end is closer to its start than this.
+        root_states: (S, >= 7) for each clip at the same times: position (m, world) and rotation
             (xyzw).
-        travel_share: how much less far than the clip the root may get in `COMPARED_S`, as a share
-            of the clip's way, but at least `limit_m`; 0: it may get anywhere.
-        tempo_share: how much faster, and slower, the clip may be shown, as a share; 0: anyhow.
-            While episodes are short they may be slower, see `min_tempo`.
-        final_limit_m: how far it may be once episodes are long; None: `limit_m`.
-
-    Attributes:
-        repeats: (M,) bool, the end of the clip is near its start.
-        is_over: (N,) bool, the episode has come to the end of a clip that does not repeat.
+        travel_share: how much less than the clip the root may travel in `COMPARED_S`, as a share,
+            but at least `limit_m`; 0: no limit.
+        tempo_share: how much faster or slower than the clip an episode may be, as a share; 0: no
+            limit. Short episodes may be slower, see `min_tempo`.
+        final_limit_m: largest distance once episodes are long; None: `limit_m`.
     """
 
     stored = (
-        "_clip",
-        "_phase",
-        "is_over",
-        "_trail",
-        "_passed",
-        "_num_followed",
-        "_mean_steps",
-        "_longest_mean",
-        "_eased",
+        *("_clip", "_phase", "is_over", "_trail", "_passed", "_num_followed"),
+        *("_mean_steps", "_longest_mean", "_eased"),
     )
 
     def __init__(
@@ -172,24 +155,21 @@ class ClipPhases(Stateful):
                 for states, repeats in zip(root_states, self.repeats.tolist(), strict=True)
             ]
             self._travels = torch.cat(travels)
-        # Where the roots were in the control steps of the last COMPARED_S, (T + 1, N, 2) m, and by
-        # how many phases each of these steps moved on, (T, N).
-        self._trail = torch.zeros(
-            0 if self._travels is None else steps + 1, num_envs, 2, device=device
-        )
+        # Root positions (T + 1, N, 2) m and phase advances (T, N) in the last COMPARED_S.
+        num_places = 0 if self._travels is None else steps + 1
+        self._trail = torch.zeros(num_places, num_envs, 2, device=device)
         self._passed = self._clip.new_zeros(steps if tempo_share > 0.0 else 0, num_envs)
         self._max_tempo = 1.0 + tempo_share
-        # Episodes that end with a clip and start anywhere in it last half of it on average.
+        # Episodes that start anywhere in a clip and end with it last half of it on average.
         half_s = 0.5 * max(len(clip) for clip in clips) * dt_s / PHASES_PER_STEP
         share = 1.0 if self.repeats.any() else min(1.0, half_s / _EASED_S[-1])
         first, last = (round(share * time_s / dt_s) for time_s in _EASED_S)
         self._eased_steps = first, max(first + 1, last)
         self._num_followed = torch.zeros(num_envs, dtype=torch.int64, device=device)
-        # Of the episodes that have ended, and the longest that it has been.
+        # The mean duration of ended episodes, and its maximum so far.
         self._mean_steps = torch.zeros((), device=device)
         self._longest_mean = torch.zeros((), device=device)
-        # How much of the wide limits is left: 1 while the mean episode lasts a second, 0 once it
-        # has lasted three, or half of a clip that does not repeat. It never rises again.
+        # 1 selects the wide limits, 0 the narrow limits. The value never rises.
         self._eased = 1.0
 
     @classmethod
@@ -201,14 +181,10 @@ class ClipPhases(Stateful):
         standing_m: float,
         config: HumanoidAMPConfig,
     ) -> ClipPhases:
-        """Return what follows the episodes of a task through its clips.
+        """Return the phases of a task's episodes and clips.
 
-        Args:
-            motions: the clips.
-            num_envs: N.
-            control_dt_s: control step.
-            standing_m: height of the root in standing, of which the limits are shares.
-            config: `clip_deviation`, `clip_deviation_final`, `clip_travel`, `clip_tempo`.
+        `standing_m` is the root height of a standing character. The limits in `config` are shares
+        of it.
         """
         clips, root_states = [], []
         for motion_id in range(motions.lib.num_motions()):
@@ -233,7 +209,7 @@ class ClipPhases(Stateful):
         )
 
     def start(self, env_ids: Tensor, clips: Tensor, times_s: Tensor) -> None:
-        """Follow environments (n,) through clips (n,) from times (n,) of them on."""
+        """Track environments (n,) in clips (n,) from times (n,) s on."""
         self._clip[env_ids] = clips
         self._phase[env_ids] = (times_s * self._phases_per_s).round().long()
         self.is_over[env_ids] = False
@@ -248,32 +224,24 @@ class ClipPhases(Stateful):
         self._num_followed[env_ids] = 0
 
     def stop(self, env_ids: Tensor) -> None:
-        """Follow environments (n,) no more."""
+        """Stop tracking environments (n,)."""
         self._phase[env_ids] = _NONE
 
     def follows_any(self) -> bool:
-        """Return whether an environment is followed: none is, of several clips without latents."""
+        """Return whether an environment is tracked."""
         return bool((self._phase != _NONE).any())
 
     @torch.inference_mode()
     def are_off(self, state: CharacterState) -> Tensor:
-        """Move all phases on by a control step; return (N,) bool: who left its clip.
-
-        Args:
-            state: of all characters.
-        """
+        """Advance all phases by a control step; return (N,) bool: the character left its clip."""
         is_far = self.advance(points_of(state)) > self.current_limit_m()
         is_behind = self.lags_behind(state[0][:, :3], state[0][:, 3:7])
         return is_far | is_behind | self.is_off_tempo()
 
     def advance(self, points: Tensor) -> Tensor:
-        """Move all phases on by a control step.
+        """Advance all phases; return the distances (N,) m of points (N, P, 3) m from the clips.
 
-        Args:
-            points: (N, P, 3) m, of the same points as the clips'.
-
-        Returns:
-            (N,) m, how far each is from its clip; 0 where none is followed.
+        The distance is 0 where no clip is tracked.
         """
         lengths = self._lengths[self._clip].unsqueeze(1)
         phases = self._phase.unsqueeze(1) + self._advances
@@ -294,14 +262,11 @@ class ClipPhases(Stateful):
         return torch.where(is_followed, away_m, 0.0)
 
     def lags_behind(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
-        """Return (N,) bool: who got less far than the clip, in its direction, in `COMPARED_S`.
+        """Return (N,) bool: the root travelled too little in the clip's direction in `COMPARED_S`.
 
-        To be called once in a control step, after `advance`. Who is followed for less time is not
-        compared. To get farther is no fault: a leap that is learned goes too far at first.
-
-        Args:
-            root_pos: (N, 3) m, world.
-            root_rot: (N, 4) xyzw.
+        Call it once per control step, after `advance`. Episodes tracked for less time are not
+        compared. Travelling farther is allowed, because a leap that is being learned goes too far
+        at first. `root_pos` (N, 3) is in m, world, and `root_rot` (N, 4) is xyzw.
         """
         if self._travels is None:
             return torch.zeros_like(self._phase, dtype=torch.bool)
@@ -317,9 +282,9 @@ class ClipPhases(Stateful):
         return is_behind & (self._phase != _NONE) & (self._num_followed >= len(self._trail))
 
     def is_off_tempo(self) -> Tensor:
-        """Return (N,) bool: who showed too much or too little of its clip in `COMPARED_S`.
+        """Return (N,) bool: the episode was too fast or too slow in `COMPARED_S`.
 
-        To be called after `advance`. Who is followed for less time is not compared.
+        Call it after `advance`. Episodes tracked for less time are not compared.
         """
         steps = len(self._passed)
         if steps == 0:
@@ -329,16 +294,13 @@ class ClipPhases(Stateful):
         return is_off & (self._phase != _NONE) & (self._num_followed >= steps)
 
     def min_tempo(self) -> float:
-        """Return the least tempo that an episode may have now, as a share of its clip's.
+        """Return the current lowest tempo, as a share of the clip's tempo.
 
-        It rises from a half to 1 / (1 + `tempo_share`) as episodes get longer.
+        It rises from 0.5 to 1 / (1 + `tempo_share`) as episodes get longer.
         """
         least = 1.0 / self._max_tempo
         return least - max(0.0, least - _SLOWEST_TEMPO) * self._eased
 
     def current_limit_m(self) -> float:
-        """Return how far from its clip an episode may be now.
-
-        It comes down from `limit_m` to `final_limit_m` as episodes get longer.
-        """
+        """Return the current largest distance, from `limit_m` down to `final_limit_m`."""
         return self._final_limit_m + (self._limit_m - self._final_limit_m) * self._eased

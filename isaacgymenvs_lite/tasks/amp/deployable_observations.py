@@ -1,8 +1,9 @@
-"""What a real robot measures, as the observation of its policy; pure functions of named tensors.
+"""Observations and delays of a real robot, as pure functions and small buffers.
 
-An inertial unit in the base gives its turning rate and, filtered, the direction of gravity; the
-encoders give positions and velocities of the joints; the controller stores what it sent last. Not
-measured are the position and the linear velocity of the base and the places of bodies.
+An inertial unit measures the angular velocity of the base and the direction of gravity. Encoders
+measure joint positions and velocities, and the controller knows its last action. A robot does not
+measure the position and linear velocity of the base, nor body positions. One measurement of all
+these quantities is a frame.
 """
 
 from __future__ import annotations
@@ -14,28 +15,21 @@ from torch import Tensor
 
 from isaacgymenvs_lite.tasks.base.velocity_tracking import compute_base_motion
 from isaacgymenvs_lite.utils.rotations import normalize
+from isaacgymenvs_lite.utils.state import Stateful
 
 _GRAVITY = slice(3, 6)  # of a frame
 
 
 def frame_groups(num_dofs: int) -> dict[str, int]:
-    """Return the parts of one frame in their order: name -> how many numbers; 6 + 3 D in all.
-
-    Args:
-        num_dofs: D.
-    """
+    """Return names and sizes of the parts of a frame, 6 + 3 D in total."""
     base = {"root_ang_vel_b": 3, "gravity_b": 3}
     return base | dict.fromkeys(("dof_pos_offset", "dof_vel", "last_action"), num_dofs)
 
 
 def history_groups(num_dofs: int, num_frames: int) -> dict[str, int]:
-    """Return the parts of several frames, the newest first.
+    """Return names and sizes of the parts of several frames, the newest first.
 
-    The names of older frames end in `_1`, `_2` and so on, by how many control steps ago they were.
-
-    Args:
-        num_dofs: D.
-        num_frames: H, at least 1.
+    The names of older frames end in their age in control steps: `_1`, `_2` and so on.
     """
     frame = frame_groups(num_dofs)
     return {
@@ -52,22 +46,12 @@ def compute_frame(
     start_dof_pos: Tensor,
     last_action: Tensor,
 ) -> Tensor:
-    """Return what robots measure at one time.
+    """Return the frames (N, 6 + 3 D) of robots, see `frame_groups`.
 
-    Args:
-        root_states: (N, 13) world position, rotation xyzw, linear and angular velocity in world
-            axes (m, m/s, rad/s). Position and linear velocity are not used.
-        dof_pos: (N, D) rad; of a ball joint the three numbers of its exponential map.
-        dof_vel: (N, D) rad/s.
-        start_dof_pos: (D,) rad of the start pose. The offset of a ball joint is the difference of
-            the exponential maps, number by number: zero in the start pose, and a rotation only
-            where that is zero itself.
-        last_action: (N, D) clamped actions of the last control step.
-
-    Returns:
-        (N, 6 + 3 D): angular velocity of the base in its frame (rad/s), unit vector of gravity in
-        that frame, joint positions minus the start pose, joint velocities, last action; see
-        `frame_groups`.
+    A frame starts with the angular velocity of the base in its frame (rad/s), and the unit vector
+    of gravity in this frame. Joint positions minus the start pose (rad), joint velocities (rad/s),
+    and the clamped last action follow. A ball joint has the three components of its exponential
+    map, from which the start pose is subtracted component by component.
     """
     motion = compute_base_motion(root_states)
     base = torch.cat((motion.ang_vel, motion.gravity)).t()
@@ -75,21 +59,48 @@ def compute_frame(
 
 
 def noise_widths(noise: Mapping[str, float], num_dofs: int) -> Tensor:
-    """Return (6 + 3 D,) half the widths of the uniform noise on each number of a frame.
+    """Return half the widths (6 + 3 D,) of the uniform noise on a frame.
 
-    Args:
-        noise: half width by the part's name; parts that are not named have none.
-        num_dofs: D.
+    `noise` holds half the width of each part by name. Missing parts have no noise.
     """
     sizes = frame_groups(num_dofs)
     return torch.cat([torch.full((size,), noise.get(name, 0.0)) for name, size in sizes.items()])
 
 
 def add_noise(frame: Tensor, widths: Tensor) -> Tensor:
-    """Return frames (N, F) with uniform noise of half widths (F,); gravity is again a unit vector.
-
-    A filter returns a direction, whatever its error.
-    """
+    """Return frames (N, F) with uniform noise of half widths (F,); gravity stays a unit vector."""
     noisy = torch.rand_like(frame).mul_(2.0).sub_(1.0).mul_(widths).add_(frame)
     noisy[:, _GRAVITY] = normalize(noisy[:, _GRAVITY])
     return noisy
+
+
+class ActionDelay(Stateful):
+    """Delays actions by `least` to `most` control steps, drawn for each episode."""
+
+    def __init__(
+        self, least: int, most: int, num_envs: int, num_actions: int, device: torch.device
+    ) -> None:
+        self._limits = (least, most)
+        self.steps = torch.full((num_envs,), least, dtype=torch.int64, device=device)
+        # (N, most + 1, A), newest first
+        self._actions = torch.zeros(num_envs, most + 1, num_actions, device=device)
+        self._rows = torch.arange(num_envs, device=device)
+
+    def reset(self, env_ids: Tensor) -> None:
+        """Draw the delays of new episodes (n,), and set their previous actions to zero."""
+        least, most = self._limits
+        drawn = torch.randint(least, most + 1, (len(env_ids),), device=env_ids.device)
+        self.steps.index_copy_(0, env_ids, drawn)
+        self._actions.index_fill_(0, env_ids, 0.0)
+
+    def __call__(self, actions: Tensor) -> Tensor:
+        """Store the actions (N, A) of a control step, and return the delayed actions."""
+        push_newest(self._actions, actions)
+        return self._actions[self._rows, self.steps]
+
+
+def push_newest(history: Tensor, newest: Tensor) -> None:
+    """Insert values (N, ...) at the front of a history (N, H, ...), in place, and drop the last."""
+    for age in range(history.shape[1] - 1, 0, -1):
+        history[:, age] = history[:, age - 1]
+    history[:, 0] = newest

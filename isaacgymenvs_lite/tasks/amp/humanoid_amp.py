@@ -1,4 +1,4 @@
-"""HumanoidAMP: the humanoid that imitates motion clips, as IsaacGymEnvs' task of that name."""
+"""HumanoidAMP: the humanoid imitates motion clips, as in IsaacGymEnvs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from isaacgymenvs_lite.tasks.base.humanoid_observations import (
 )
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
-from isaacgymenvs_lite.tasks.base.vec_task import Done, RobotState
+from isaacgymenvs_lite.tasks.base.vec_task import Done, RobotDescription, RobotState
 from isaacgymenvs_lite.tasks.goals.boxes import damp_objects
 from isaacgymenvs_lite.tasks.goals.goal import Goal
 
@@ -39,61 +39,38 @@ log = logging.getLogger(__name__)
 NUM_AMP_OBS_PER_STEP = NUM_OBS  # of IsaacGymEnvs' humanoid, for scripts
 
 
-def build_amp_observations(
-    root_states: Tensor,
-    dof_pos: Tensor,
-    dof_vel: Tensor,
-    key_body_pos: Tensor,
-    local_root_obs: bool,
-    as_ase: bool = False,
-    dof_offsets: tuple[int, ...] | None = None,
-) -> Tensor:
-    """Return the AMP observation of one control step: (N, 105), or (N, 125) with `as_ase`.
-
-    In IsaacGymEnvs it is the policy observation of the same state; see
-    `compute_humanoid_observations` for arguments and layout.
-    """
-    return compute_humanoid_observations(
-        root_states, dof_pos, dof_vel, key_body_pos, local_root_obs, as_ase, dof_offsets
-    )
+build_amp_observations = compute_humanoid_observations
+"""One step of the AMP observation equals the policy observation of the same state."""
 
 
 class HumanoidAMP(HumanoidAMPBase):
-    """The humanoid with a motion library, AMP observations and resets into the reference motion.
+    """The humanoid with reference motions: AMP observations, and episodes that start in clips.
 
-    `ReferenceMotions` has the demonstrations, `ClipStarts` the starts of episodes, and `ClipPhases`
-    follows episodes through their clips.
+    `ReferenceMotions` provides the demonstrations and `ClipStarts` the starts of episodes.
+    `ClipPhases` tracks how far episodes are from their clips.
 
     The AMP observation holds `numAMPObsSteps` control steps, the newest first. The agent calls
-    `reset_done` before each policy step, and reads `infos["amp_obs"]` (N, F) and
+    `reset_done` before each policy step. It reads `infos["amp_obs"]` (N, F) and
     `infos["terminate"]` (N,).
 
-    Beside the style, a task that derives from it can reward a goal, which the last entries of the
-    policy's observation describe.
-
-    Args:
-        cfg: cfg/task/HumanoidAMP.yaml as plain dictionaries; the rest as `VecTask`.
+    A derived task can add a goal, which is rewarded in addition to the style. The last entries of
+    the policy observation describe the goal.
 
     Attributes:
-        goal: what the character is rewarded for; none here.
+        goal: the goal, here without reward or observation.
 
     Raises:
-        ConfigError: a key or value that cannot be used.
-        MotionFileError: a clip that cannot be used.
+        ConfigError: a setting is invalid.
+        MotionFileError: a clip is invalid.
     """
 
     not_stored = ("_off_clip",)
-    # Joint positions of the AMP observation as ASE encodes them.
-    amp_obs_as_ase: ClassVar[bool] = False
+    amp_obs_as_ase: ClassVar[bool] = False  # see `dof_to_obs`
     goal_class: ClassVar[type[Goal]] = Goal
-    """The goal, which reads its keys from `task.env`."""
+    """Class of the goal, which reads its own keys of `task.env`."""
 
     def read_settings(self, env: dict[str, Any]) -> Any:
-        """Check `task.env`, and make the goal.
-
-        Raises:
-            ConfigError: an unknown, ill-typed or impossible value.
-        """
+        """Check `task.env` and create the goal."""
         self.goal = self.goal_class(env)
         ignored = (*UNREAD_ENV_KEYS, *self.goal.keys())
         return read_section(self.settings_class, env, "task.env", ignored=ignored)
@@ -103,7 +80,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self.goal.add_to_model(spec)
 
     def observation_groups(self) -> dict[str, int]:
-        """As the base; the goal comes last."""
+        """Return names and sizes of the observation parts; the goal comes last."""
         size = self.get_task_obs_size()
         return super().observation_groups() | ({self.goal.obs_name: size} if size else {})
 
@@ -112,13 +89,13 @@ class HumanoidAMP(HumanoidAMPBase):
         return self.goal.num_task_obs
 
     def set_sizes(self) -> None:
-        """As the base, and of one step of the AMP observation."""
+        """Set the sizes of observations, actions and AMP observations."""
         super().set_sizes()
         offsets, num_keys = self._layout.dof_offsets, len(self.key_body_names())
         self._num_amp_obs_per_step = num_humanoid_obs(offsets, num_keys, self.amp_obs_as_ase)
 
     def create_sim(self) -> None:
-        """As the base, with objects that lose their velocities slowly; load the motions."""
+        """Create the simulations with damped objects, and load the clips."""
         damp_objects(self._model, self._layout.object_names)
         super().create_sim()
         lib = MotionLib(
@@ -141,31 +118,27 @@ class HumanoidAMP(HumanoidAMPBase):
         own = self.contact_body_names()
         others = [body for body in lib.bodies_on_ground() if body not in own]
         if others and self.allows_contacts_of_clips:
-            log.info("may touch the ground, as in the clips: %s", ", ".join(others))
+            log.info("bodies that touch the ground in the clips may do so: %s", ", ".join(others))
             self.contact_body_ids = self._body_ids("contactBodies", (*own, *others))
 
     @property
     def allows_contacts_of_clips(self) -> bool:
-        """Whether bodies that touch the ground in the clips may do so."""
+        """Whether bodies that touch the ground in the clips may touch it in episodes."""
         return self.env_cfg.contact_bodies is None
 
     def reference_skeleton(self) -> Skeleton | None:
-        """Return the skeleton of the reference motions; None: of the shipped humanoid."""
+        """Return the skeleton of the clips; None: the shipped humanoid's."""
         return None
 
     def allocate_buffers(self) -> None:
-        """Add the AMP observation history, (N, numAMPObsSteps, ...), newest first."""
+        """Add the AMP observation history, the clip phases and the starts of episodes."""
         super().allocate_buffers()
-        self._amp_obs_buf = torch.zeros(
-            self.num_envs,
-            self.env_cfg.num_amp_obs_steps,
-            self._num_amp_obs_per_step,
-            device=self.device,
-        )
+        size = (self.num_envs, self.num_amp_obs_steps, self._num_amp_obs_per_step)
+        self._amp_obs_buf = torch.zeros(size, device=self.device)  # newest first
         self._phases: ClipPhases | None = None
-        # (N,) bool of this step; None: no clip is followed.
+        # (N,) bool, True where the character left its clip; None: not compared.
         self._off_clip: Tensor | None = None
-        # Of the clip that episodes end with; None: they go on.
+        # Phases of the clip that ends episodes; None: clips do not end episodes.
         self._ending: ClipPhases | None = None
         soon_limit = self.max_episode_length
         if self.env_cfg.clip_deviation > 0.0:
@@ -186,30 +159,29 @@ class HumanoidAMP(HumanoidAMPBase):
         self.goal.attach(self.simulation, self.control_dt_s)
 
     def _end_with_clip(self, phases: ClipPhases) -> None:
-        """Let episodes end with the only clip, if it does not return to where it starts."""
-        starts_in_clip = self.env_cfg.state_init in ("Random", "Start")
-        if not (
-            self.env_cfg.end_with_clip and starts_in_clip and phases.repeats.tolist() == [False]
-        ):
+        """Let episodes end with the clip, if the only clip does not return to its start."""
+        cfg = self.env_cfg
+        starts_in_clip = cfg.state_init in ("Random", "Start")
+        if not (cfg.end_with_clip and starts_in_clip and phases.repeats.tolist() == [False]):
             return
         self._ending = phases
         length_s = float(self.motion_lib.get_motion_length([0]))
-        slowness = 1.0 + (self.env_cfg.clip_tempo or 1.0)  # from the start, at the least tempo
+        slowness = 1.0 + (cfg.clip_tempo or 1.0)
         longest = math.ceil(slowness * length_s / self.control_dt_s) + 1
         self.max_episode_length = min(self.max_episode_length, longest)
         log.info(
-            "the clip does not return to where it starts: episodes end with it, after at most"
-            " %d control steps (task.env.endWithClip)",
+            "the clip does not return to its start, so episodes end with it, after at most %d"
+            " control steps (task.env.endWithClip)",
             self.max_episode_length,
         )
 
     @property
     def clip_starts_s(self) -> Tensor | None:
-        """Times (N,) s of the clip at which episodes started that end with it; None: none does."""
+        """Clip times (N,) s at which episodes started; None: episodes do not end with the clip."""
         return None if self._ending is None else self._starts.times_s
 
     def compute_time_outs(self) -> Tensor:
-        """As the base, and where the clip that an episode ends with is over."""
+        """Return (N,) bool: the time limit or the end of the clip is reached."""
         time_outs = super().compute_time_outs()
         return time_outs if self._ending is None else time_outs | self._ending.is_over
 
@@ -220,16 +192,15 @@ class HumanoidAMP(HumanoidAMPBase):
 
     @property
     def num_amp_obs_steps(self) -> int:
-        """Control steps in one AMP observation."""
+        """Number of control steps in an AMP observation."""
         return self.env_cfg.num_amp_obs_steps
 
     @property
     def num_amp_obs(self) -> int:
-        """Numbers in one flattened AMP observation, F."""
+        """Dimension F of a flattened AMP observation."""
         return self.env_cfg.num_amp_obs_steps * self._num_amp_obs_per_step
 
     def _amp_features(self, state: CharacterState) -> Tensor:
-        """AMP observations of one step of states as `_character_states` returns them."""
         return build_amp_observations(
             *state, self.env_cfg.local_root_obs, self.amp_obs_as_ase, self._layout.dof_offsets
         )
@@ -237,9 +208,9 @@ class HumanoidAMP(HumanoidAMPBase):
     def current_amp_features(self, env_ids: Tensor | None = None) -> Tensor:
         """Return one step of the AMP observation of all environments or `env_ids` (n,).
 
-        To be called after `compute_observations`.
+        `compute_observations` must be called before.
         """
-        # It is the policy's observation of the same state, without the goal.
+        # The policy observation starts with it.
         features = self.obs_buf[:, : self._num_amp_obs_per_step]
         return features if env_ids is None else features.index_select(0, env_ids)
 
@@ -250,14 +221,15 @@ class HumanoidAMP(HumanoidAMPBase):
 
     @property
     def motion_lib(self) -> MotionLib:
-        """The reference motions."""
+        """The clips."""
         return self._motions.lib
 
     def keep_to_clips(self, env_ids: Tensor) -> None:
-        """From here on, episodes (n,) that started in a clip fail if they leave it.
+        """Let episodes (n,) that started in a clip fail if they leave it.
 
-        To be called after a reset. Without `clipDeviation` it has no effect. With one clip the task
-        itself calls it; with several the policy must receive which one is meant, as latents show.
+        Call it after a reset. It has no effect without `clipDeviation`. The task calls it itself if
+        there is only one clip. If there are several, the policy must observe which clip is meant,
+        for example by a latent.
         """
         if self._phases is None:
             return
@@ -266,19 +238,19 @@ class HumanoidAMP(HumanoidAMPBase):
         self._phases.start(env_ids, self._starts.clips[env_ids], self._starts.times_s[env_ids])
 
     def leave_clips(self, env_ids: Tensor) -> None:
-        """From here on, episodes (n,) may do something else than their clips."""
+        """Let episodes (n,) leave their clips without failing."""
         if self._phases is not None:
             self._phases.stop(env_ids.to(self.device))
 
     # --- a step ------------------------------------------------------------------------------
 
     def pre_physics_step(self, actions: Tensor) -> None:
-        """As the base; the goal stores the state, and changes when its time is over."""
+        """Run the base method, then let the goal prepare the step."""
         super().pre_physics_step(actions)
         self.goal.before_step(self.progress_buf)
 
     def update_state(self) -> None:
-        """Let the goal update what it remembers, and follow episodes through their clips."""
+        """Update the goal, and compare the characters with their clips."""
         self.goal.after_step()
         self._off_clip = None
         followed = self._phases if self.is_training else self._ending
@@ -287,37 +259,37 @@ class HumanoidAMP(HumanoidAMPBase):
 
     @torch.inference_mode()
     def compute_obs_of(self, env_ids: Tensor | None) -> Tensor:
-        """As the base, with the goals."""
+        """Return observations of environments (n,) or of all, with the goal."""
         character = self._observe_character(env_ids)
         if self.goal.num_task_obs == 0:
             return character
         return torch.cat((character, self.goal.observe(env_ids)), dim=-1)
 
     def compute_reward_terms(self) -> Terms:
-        """Return the goal's reward; the style reward is the agent's."""
+        """Return the reward terms of the goal; the agent adds the style reward."""
         reward = self.goal.reward()
         return reward if isinstance(reward, dict) else {"task": reward}
 
     def goal_errors(self) -> dict[str, Tensor]:
-        """Return how far the last step was from the goal, (N,) each; see `Goal.errors`."""
+        """Return the errors (N,) of the last step relative to the goal, see `Goal.errors`."""
         return self.goal.errors()
 
     @property
     def key_help(self) -> str:
-        """What the keys of a viewer do."""
+        """Help text about the goal's keys."""
         return self.goal.key_help
 
     def on_key(self, key: str) -> None:
-        """Pass a key of a viewer to the goal."""
+        """Pass a key press to the goal."""
         self.goal.on_key(key)
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
-        """Return what pictures of an environment show in addition to the character."""
+        """Return the markers that show the goal of an environment in pictures."""
         return self.goal.markers(env_id)
 
     @torch.inference_mode()
     def compute_failures(self) -> Tensor:
-        """As the base, and where the goal was missed for good or the clip of the start was left."""
+        """Return (N,) bool: the character fell, left its clip, or can no longer reach the goal."""
         fallen = super().compute_failures()
         if not self.env_cfg.enable_early_termination:
             return fallen
@@ -327,17 +299,19 @@ class HumanoidAMP(HumanoidAMPBase):
         missed = self.goal.failures(self.contact_body_ids)
         if missed is None:
             return fallen
-        # Contact forces may be stale in the first step.
+        # The first step may have stale contact forces.
         return fallen | (missed & (self.progress_buf > 1))
 
     def post_physics_step(self) -> None:
-        """As the base, then shift the AMP history and publish it, terminal states included."""
+        """Run the base method, then add the step to the AMP history, terminal states included."""
         super().post_physics_step()
         if self._starts.adaptive is not None:
             ended = (self.done_buf != Done.RUNNING) & (self._starts.clips >= 0)
             env_ids = ended.nonzero().flatten()
             failed = self.done_buf[env_ids] == Done.FAILED
-            self._starts.count_ended(env_ids, self.progress_buf[env_ids], failed)
+            adaptive, starts = self._starts.adaptive, self._starts
+            bins = adaptive.bins_of(starts.clips[env_ids], starts.times_s[env_ids])
+            adaptive.count(bins, self.progress_buf[env_ids], failed)
         newest, history = self.current_amp_features().unsqueeze(1), self._amp_obs_buf
         window = torch.cat((newest, history[:, :-1]), dim=1)
         history.copy_(window)
@@ -346,45 +320,30 @@ class HumanoidAMP(HumanoidAMPBase):
     # --- demonstrations ----------------------------------------------------------------------
 
     def fetch_amp_obs_demo(self, num_samples: int) -> Tensor:
-        """Sample AMP observations of the reference motions.
+        """Return AMP observations (n, F) of random clip times on rl_device.
 
-        Clips are drawn by weight; the last instant is drawn so that the whole history lies inside
-        the clip, as in ASE (IsaacGymEnvs extrapolates before the start).
-
-        Args:
-            num_samples: n, any number.
-
-        Returns:
-            (n, F) on rl_device, laid out as `infos["amp_obs"]`.
+        Clips are drawn by weight. The whole history lies inside the clip, as in ASE; IsaacGymEnvs
+        extrapolates before the start.
         """
         return self._motions.windows(*self._motions.draw_windows(num_samples)).to(self.rl_device)
 
     def fetch_amp_obs_demo_pairs(self, num_samples: int, apart_s: float = 1.0) -> Tensor:
-        """Sample pairs of AMP observations of one motion, near each other.
-
-        Args:
-            num_samples: n, any number.
-            apart_s: s, at most so far apart; a clip's start and end limit it further.
-
-        Returns:
-            (n, 2, F) on rl_device, the first of each pair as `fetch_amp_obs_demo`.
-        """
+        """Return pairs (n, 2, F) of AMP observations of one clip, at most `apart_s` apart."""
         return self._motions.draw_pairs(num_samples, apart_s).to(self.rl_device)
 
     def fetch_tracking_demo(self, num_samples: int, with_goal: bool = True) -> TrackingDemo | None:
-        """Sample moments of the clips, and actions that go on with them.
+        """Return random states of the clips with actions that continue them, on rl_device.
 
-        A drive with target q + kd / kp * v has no force at position q and velocity v. The targets
-        are of the next control step, so that the drives lead.
-
-        To be called before a reset of all environments, whose states it may replace.
+        A drive with target q + kd / kp * v exerts no torque at position q and velocity v. The
+        targets belong to the next control step. Call it before a reset of all environments, because
+        it may overwrite their states.
 
         Args:
-            num_samples: n, any number.
-            with_goal: the observations end with the goal.
+            num_samples: n.
+            with_goal: True: the observations include the goal.
 
         Returns:
-            Tensors on rl_device; None if the policy observes what clips do not show, or acts by
+            The samples, or None if clips do not determine the observation or if actions are
             torques.
         """
         if not self.env_cfg.pd_control:
@@ -405,7 +364,7 @@ class HumanoidAMP(HumanoidAMPBase):
                 return None
             obs = torch.cat((obs, goal), dim=-1)
         _, near, far = states[1].view(3, num_samples, -1)
-        # Exponential maps jump by a whole turn.
+        # The components of exponential maps may jump by 2 pi.
         change = torch.remainder(far - near + torch.pi, 2 * torch.pi) - torch.pi
         kp, kd = -torch.from_numpy(self._model.actuator_biasprm[:, 1:3]).float().t()
         leads_s = torch.where(kp > 0, kd / kp.clamp(min=1e-9), 0.0).to(self.device)
@@ -415,24 +374,21 @@ class HumanoidAMP(HumanoidAMPBase):
         return TrackingDemo(*(rows.to(self.rl_device) for rows in (obs, actions, amp_obs)))
 
     def _observe_clip(self, states: CharacterState) -> Tensor | None:
-        """Return what is observed of characters in states of clips; None: clips do not show it."""
+        """Return the character observations of clip states; None: clips do not determine them."""
         return self._amp_features(states)
 
     def windows_of_clips(self) -> list[Tensor]:
-        """Return the AMP observations (W, F) of each clip, one for each control step."""
+        """Return the AMP observations (W, F) of each clip, one per control step."""
         return [windows.to(self.rl_device) for windows in self._motions.windows_of_clips()]
 
     # --- reset -------------------------------------------------------------------------------
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Start each environment as `stateInit` names, in the default pose or at a time of a clip.
-
-        Draws goals, which the first observation contains.
-        """
+        """Start episodes in the default pose or in clips, as `stateInit` says, and draw goals."""
         mode = self.env_cfg.state_init
         reference_ids, default_ids = env_ids, env_ids[:0]
         if mode == "Default":
-            reference_ids, default_ids = default_ids, reference_ids
+            reference_ids, default_ids = env_ids[:0], env_ids
         elif mode == "Hybrid":
             from_clip = torch.rand(len(env_ids), device=self.device) < self.env_cfg.hybrid_init_prob
             reference_ids, default_ids = env_ids[from_clip], env_ids[~from_clip]
@@ -440,7 +396,7 @@ class HumanoidAMP(HumanoidAMPBase):
         if len(reference_ids) > 0:
             starts = self._starts.next(reference_ids)
             root_states, dof_pos, dof_vel, self._reference_history, self._roots_ahead = starts
-            if self.motion_lib.num_motions() == 1:  # between clips a policy may change
+            if self.motion_lib.num_motions() == 1:
                 self.keep_to_clips(reference_ids)
             self.simulation.write_state(reference_ids, root_states, dof_pos, dof_vel)
         if len(default_ids) > 0:
@@ -449,22 +405,22 @@ class HumanoidAMP(HumanoidAMPBase):
         if len(reference_ids) > 0:
             self.goal.start_in_clip(reference_ids, self._roots_ahead)
 
-    def first_start(self) -> RobotState | None:
-        """Return the start of the first clip, unless episodes start in the default pose."""
+    def robot_description(self) -> RobotDescription:
+        """Return the base description with the start of the first clip, if episodes start there."""
+        description = super().robot_description()
         if self.env_cfg.state_init == "Default":
-            return None
+            return description
         first = torch.zeros(1, dtype=torch.int64, device=self.device)
         states = self._motions.states(first, first.float(), first)
-        root_state, dof_pos, dof_vel = (rows[0] for rows in states[:3])
-        return RobotState(root_state, dof_pos, dof_vel)
+        return description._replace(start=RobotState(*(rows[0] for rows in states[:3])))
 
     def reset(self) -> dict[str, Tensor]:
-        """As the base; starts that were drawn before are dropped, for the seed's sake."""
+        """Start all episodes; first discard drawn starts, whose number depends on the past."""
         self._starts.clear()
         return super().reset()
 
     def reset_idx(self, env_ids: Tensor) -> None:
-        """As the base, and fill the AMP history with the steps before the start."""
+        """Start episodes, and fill the AMP history with the steps before the start."""
         self._starts.clips[env_ids] = -1
         self.leave_clips(env_ids)
         super().reset_idx(env_ids)
@@ -473,7 +429,7 @@ class HumanoidAMP(HumanoidAMPBase):
     @torch.inference_mode()
     def _start_histories(self, env_ids: Tensor) -> None:
         now = self.current_amp_features(env_ids)
-        # Without a reference motion: as if the character had been standing still.
+        # The character stood still before a start without a clip.
         standing = now.unsqueeze(1).expand(-1, self.env_cfg.num_amp_obs_steps, -1)
         self._amp_obs_buf.index_copy_(0, env_ids, standing)
         if len(self._reference_env_ids) > 0:

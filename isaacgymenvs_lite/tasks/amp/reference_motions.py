@@ -1,4 +1,4 @@
-"""What a task takes from its clips: demonstrations for a discriminator, and starts of episodes."""
+"""Clips of a task: demonstrations for a discriminator, and starts of episodes."""
 
 from __future__ import annotations
 
@@ -8,35 +8,24 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState, HumanoidAMPConfig
 from isaacgymenvs_lite.utils.state import Stateful
 
 _BIN_S = 0.1
-# Weight of an episode in the failure rate of its bin.
-_UPDATE = 0.02
-# Windows of clips computed at a time: many more leave the CPU's cache and take twice as long.
-_WINDOWS_AT_A_TIME = 256
+_UPDATE = 0.02  # weight of an episode in the failure rate of its bin
+_WINDOWS_AT_A_TIME = 256  # larger batches exceed the CPU's cache
 _STARTS_AT_A_TIME = 1024
-# A failure in this time is one of the start: about as long as a leap with its landing.
-_FAILS_SOON_S = 1.5
-# An episode that ends with its clip lasts at least so long.
-_LEAST_LEFT_S = 0.5
+_FAILS_SOON_S = 1.5  # duration of a leap with its landing
+_LEAST_LEFT_S = 0.5  # shortest episode that ends with its clip
 
 
 class ReferenceMotions:
-    """States and AMP observations of a task's clips, at any time and drawn at random.
+    """States and AMP observations of a task's clips, at given or random times.
 
     An AMP observation is a window of `num_steps` control steps, the newest first, flattened to F
-    numbers. Clips are drawn by their weights. All tensors are on the library's device.
-
-    Args:
-        lib: the clips.
-        features: from states of characters to one step of an AMP observation.
-        num_steps: control steps in an AMP observation.
-        control_dt_s: control step.
-        motion_share: share of the windows that are drawn in proportion to the motion in the clip at
-            each time, not evenly.
+    values. `features` computes one control step of the observation from character states. Clips are
+    drawn by weight. `motion_share` of the windows are drawn in proportion to the motion in the
+    clip, the others evenly.
     """
 
     def __init__(
@@ -55,10 +44,10 @@ class ReferenceMotions:
         self._history_s = control_dt_s * (num_steps - 1)
 
     def states(self, motion_ids: Tensor, times: Tensor, steps: Tensor) -> CharacterState:
-        """Return states of motions (n,) at times (n,) s, `steps` (s,) control steps earlier.
+        """Return the states of motions (n,), `steps` (s,) control steps before times (n,) s.
 
-        Root states (s * n, 13), DOF positions and velocities (s * n, D), key bodies (s * n, K, 3):
-        all motions at the first step, then all of them at the second one.
+        The result has root states (s * n, 13), DOF positions and velocities (s * n, D), and key
+        bodies (s * n, K, 3). All motions at the first step precede all motions at the second step.
         """
         ids = motion_ids.repeat(len(steps))
         at_s = (times - self._dt_s * steps.unsqueeze(1)).flatten()
@@ -78,7 +67,7 @@ class ReferenceMotions:
         return torch.cat(parts)
 
     def draw_windows(self, n: int) -> tuple[Tensor, Tensor]:
-        """Draw motions (n,), and the last instants (n,) s of windows that lie inside them."""
+        """Draw motions (n,) and end times (n,) s of windows that lie inside the motions."""
         motion_ids = self.lib.sample_motions(n)
         times = self.lib.sample_time(motion_ids, truncate_time=self._history_s) + self._history_s
         if self._motion_share > 0.0:
@@ -88,23 +77,17 @@ class ReferenceMotions:
         return motion_ids, times
 
     def draw_pairs(self, n: int, apart_s: float) -> Tensor:
-        """Draw pairs (n, 2, F) of AMP observations of one motion, at most `apart_s` apart.
-
-        The clip's start and end limit the distance further.
-        """
+        """Draw pairs (n, 2, F) of AMP observations of one motion, at most `apart_s` apart."""
         motion_ids, times = self.draw_windows(n)
         shift_s = apart_s * (2.0 * torch.rand(n, device=times.device) - 1.0)
         last_s = self.lib.get_motion_length(motion_ids).to(times)
-        # Of a clip shorter than the history the window is always the same.
+        # A clip shorter than the history has only one window.
         earliest_s = torch.full_like(times, self._history_s)
         others = torch.maximum(torch.minimum(times + shift_s, last_s), earliest_s)
         return torch.stack([self.windows(motion_ids, at) for at in (times, others)], dim=1)
 
     def windows_of_clips(self) -> list[Tensor]:
-        """Return the AMP observations (W, F) of each clip, one for each control step.
-
-        A clip shorter than the history gives one.
-        """
+        """Return the AMP observations (W, F) of each clip, one per control step, at least one."""
         windows = []
         for motion_id in range(self.lib.num_motions()):
             left_s = float(self.lib.get_motion_length([motion_id])) - self._history_s
@@ -115,12 +98,7 @@ class ReferenceMotions:
         return windows
 
     def histories(self, states: CharacterState, n: int) -> Tensor:
-        """Return the AMP features (n, num_steps - 1, ...) of all but the newest step of `states`.
-
-        Args:
-            states: of n motions, at all steps of an AMP observation.
-            n: number of motions.
-        """
+        """Return the AMP features (n, num_steps - 1, ...) of n motions, without the newest step."""
         root, dof_pos, dof_vel, key_pos = states
         before = self._features((root[n:], dof_pos[n:], dof_vel[n:], key_pos[n:]))
         return before.view(len(self._steps) - 1, n, -1).transpose(0, 1)
@@ -135,18 +113,15 @@ class ReferenceMotions:
 
 
 class AdaptiveStarts(Stateful):
-    """Draws moments of clips by how often episodes that start there fail soon.
+    """Draws clip times in proportion to the rate of early failures of episodes that start there.
 
-    Episodes that start just before a take-off or a landing end soon, and teach what the others need
-    later. Peng et al. 2018, "DeepMimic" (arXiv 1804.02717), start anywhere in a clip; trackers draw
-    clips by their failures (Luo et al. 2023, "PHC", arXiv 2305.06456).
+    Episodes that start just before a take-off or a landing end early. DeepMimic (Peng et al. 2018,
+    arXiv 1804.02717) draws start times evenly. Trackers such as PHC (Luo et al. 2023, arXiv
+    2305.06456) draw clips by their failures. Here, clips are divided into bins of 0.1 s with equal
+    initial rates.
 
-    Clips are cut into bins of a tenth of a second. At first all moments are equal.
-
-    Args:
-        lengths_s: (M,) of the clips.
-        weights: (M,) how often each clip is drawn, sum 1.
-        soon_steps: control steps; a failure in them is one of the start.
+    `lengths_s` and `weights` (M,) are the durations and probabilities of M clips. A failure within
+    `soon_steps` counts as early.
     """
 
     stored = ("failure_rate",)
@@ -163,7 +138,7 @@ class AdaptiveStarts(Stateful):
         self._share = weights.to(self._width_s)[self._clip] / counts[self._clip]
         self._soon_steps = soon_steps
         self.failure_rate = torch.full_like(self._start_s, 0.5)
-        """(B,) of the episodes that started in each bin, the newest count most."""
+        """(B,) share of early failures among recent episodes that started in each bin."""
 
     def draw(self, n: int) -> tuple[Tensor, Tensor]:
         """Return clips (n,) and times (n,) s."""
@@ -174,18 +149,15 @@ class AdaptiveStarts(Stateful):
         within = torch.rand(n, device=bins.device)
         return self._clip[bins], self._start_s[bins] + within * self._width_s[bins]
 
-    def bins_of(self, motion_ids: Tensor, times_s: Tensor) -> Tensor:
-        """Return the bins (n,) of moments (n,)."""
-        place = (times_s / self._width_s[self._first[motion_ids]]).long()
-        return self._first[motion_ids] + torch.minimum(place, self._counts[motion_ids] - 1)
+    def bins_of(self, clips: Tensor, times_s: Tensor) -> Tensor:
+        """Return the bins (n,) of clip times (n,)."""
+        place = (times_s / self._width_s[self._first[clips]]).long()
+        return self._first[clips] + torch.minimum(place, self._counts[clips] - 1)
 
     def count(self, bins: Tensor, steps: Tensor, failed: Tensor) -> None:
-        """Take in episodes that ended; those that were cut off early do not count.
+        """Update the failure rates with ended episodes (n,): start bin, control steps, failure.
 
-        Args:
-            bins: (n,) where they started.
-            steps: (n,) control steps that they lasted.
-            failed: (n,) bool.
+        Short episodes that did not fail say nothing and are not counted.
         """
         failed_soon = failed & (steps <= self._soon_steps)
         is_known = failed_soon | (steps > self._soon_steps)
@@ -198,23 +170,18 @@ class AdaptiveStarts(Stateful):
 
 
 class ClipStarts(Stateful):
-    """Draws moments of clips in which episodes start.
+    """Draws the clips and times at which episodes start.
 
-    Starts are drawn in blocks: for the few environments that a step resets the call itself is the
-    cost, and a thousand starts take as long as fifty, ten times.
+    Starts are drawn in blocks, because one draw of 1000 starts takes as long as ten draws of 50.
 
     Args:
         motions: the clips.
-        config: of the task: `state_init`, `adaptive_starts`.
+        config: the settings `state_init` and `adaptive_starts`.
         num_envs: N.
-        soon_limit: control steps; a failure within half of them counts for the start at most.
-        ahead_s: how far ahead, in s, the goal looks from a start.
-        ends_with_clip: whether episodes end with their clip.
-
-    Attributes:
-        clips: (N,) in which the episodes started, -1: in the default pose.
-        times_s: (N,) s, when in them.
-        adaptive: where episodes fail; None without `adaptive_starts`.
+        control_dt_s: duration of a control step.
+        soon_limit: episode length in control steps; only failures in its first half count as early.
+        ahead_s: times (s) after a start at which the goal needs the root state.
+        ends_with_clip: True: episodes end with their clip.
     """
 
     stored = ("clips", "times_s", "_rows", "_left", "adaptive")
@@ -244,27 +211,28 @@ class ClipStarts(Stateful):
                 min(round(_FAILS_SOON_S / control_dt_s), soon_limit // 2),
             )
         self._block = min(num_envs, _STARTS_AT_A_TIME)
+        # The running episodes started at these clips and times; -1 means the default pose.
         self.clips = torch.full((num_envs,), -1, dtype=torch.int64, device=device)
         self.times_s = torch.zeros(num_envs, device=device)
         self.clear()
 
     def clear(self) -> None:
-        """Drop the starts that were drawn; the next ones depend on the generator's state."""
+        """Discard the drawn starts, so that the generator's state determines the next ones."""
         self._rows: tuple[Tensor, ...] = ()
         self._left = 0
 
     def next(self, env_ids: Tensor) -> tuple[Tensor, ...]:
-        """Return starts of environments (n,), which no episode has had before.
+        """Return unused starts for environments (n,).
 
         Returns:
-            Root states (n, 13), DOF positions and velocities (n, D), the AMP features of the steps
-            before (n, steps - 1, ...), and the root states that the goal looks ahead (n, T, 13).
+            Root states (n, 13), DOF positions and velocities (n, D), AMP features of the previous
+            steps (n, steps - 1, ...), and the root states that the goal needs (n, T, 13).
         """
         n = len(env_ids)
         if n > self._block:
             rows = self._draw(n)
         else:
-            if n > self._left:  # what is left of a block that is too small is dropped
+            if n > self._left:  # the rest of the previous block is discarded
                 self._rows, self._left = self._draw(self._block), self._block
             first = self._block - self._left
             self._left -= n
@@ -274,21 +242,9 @@ class ClipStarts(Stateful):
         self.times_s[env_ids] = times_s
         return tuple(states)
 
-    def count_ended(self, env_ids: Tensor, steps: Tensor, failed: Tensor) -> None:
-        """Learn where episodes fail: those of environments (n,) that ended after `steps` (n,).
-
-        Args:
-            env_ids: (n,).
-            steps: (n,) control steps.
-            failed: (n,) bool.
-        """
-        if self.adaptive is not None and len(env_ids) > 0:
-            bins = self.adaptive.bins_of(self.clips[env_ids], self.times_s[env_ids])
-            self.adaptive.count(bins, steps, failed)
-
     @torch.inference_mode()
     def _draw(self, n: int) -> tuple[Tensor, ...]:
-        """Return what `next` returns, and the clips (n,) and times (n,) s of the starts."""
+        """Return the tensors of `next`, and the clips (n,) and times (n,) s."""
         motions = self._motions
         motion_ids, times = self._draw_moments(n)
         states = motions.states(motion_ids, times, self._steps)

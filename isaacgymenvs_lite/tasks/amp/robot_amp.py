@@ -1,4 +1,4 @@
-"""RobotAMP: any robot of an MJCF or URDF file that imitates motion clips."""
+"""RobotAMP: any robot with an MJCF or URDF file imitates motion clips."""
 
 from __future__ import annotations
 
@@ -18,17 +18,20 @@ from isaacgymenvs_lite.robots.load import load_robot
 from isaacgymenvs_lite.robots.settings import RobotSettings
 from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.tasks.amp.deployable_observations import (
+    ActionDelay,
     add_noise,
     compute_frame,
     history_groups,
     noise_widths,
+    push_newest,
 )
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
-from isaacgymenvs_lite.tasks.amp.humanoid_model import set_actuators
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import (
+    CharacterState,
+    HumanoidAMPConfig,
+    set_actuators,
+)
 from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_spec
-from isaacgymenvs_lite.tasks.base.history import ActionDelay, push_newest
 from isaacgymenvs_lite.tasks.base.pushes import push_interval, set_planar_velocities
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.task_config import AssetConfig
@@ -37,11 +40,9 @@ from isaacgymenvs_lite.utils.rotations import xyzw_from_wxyz
 
 log = logging.getLogger(__name__)
 
-_ROOT = 7  # numbers of the free joint in qpos: position, quaternion wxyz
-# The mean speed of a clip that goes nowhere is below.
-_STANDING_M_S = 0.05
-# Of the trunk's height: below it is a robot on its knees, not one that crouches.
-_TERMINATION_SHARE = 0.45
+_ROOT = 7  # qpos values of the free joint
+_STANDING_M_S = 0.05  # clips with a lower mean speed stand
+_TERMINATION_SHARE = 0.45  # of the trunk's height: kneeling, but not crouching
 _MAX_FRAMES = 100
 _MAX_DELAY = 100  # control steps
 
@@ -50,109 +51,81 @@ _MAX_DELAY = 100  # control steps
 class ObservationNoise:
     """`task.env.observationNoise`: half widths of uniform noise on the parts of a frame."""
 
-    root_ang_vel_b: float = setting(0.0, minimum=0)
-    """rad/s."""
+    root_ang_vel_b: float = setting(0.0, minimum=0)  # rad/s
     gravity_b: float = setting(0.0, minimum=0)
-    """Of the unit vector, which stays one."""
-    dof_pos_offset: float = setting(0.0, minimum=0)
-    """rad."""
-    dof_vel: float = setting(0.0, minimum=0)
-    """rad/s."""
-
-    @property
-    def widths(self) -> dict[str, float]:
-        """Half width of each part by its name."""
-        return asdict(self)
+    dof_pos_offset: float = setting(0.0, minimum=0)  # rad
+    dof_vel: float = setting(0.0, minimum=0)  # rad/s
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotAMPConfig(HumanoidAMPConfig, RobotSettings):
-    """`task.env` of RobotAMP: HumanoidAMP's keys and a robot's; null means found in the model."""
+    """`task.env` of RobotAMP: HumanoidAMP's keys and the robot's; null: derived from the model."""
 
     motion_file: str = setting("g1_walk.npz")
-    """A clip of this robot: a path, or a name in assets/amp/motions."""
     contact_bodies: tuple[str, ...] = setting((), key="contactBodies")
-    """Bodies that may touch the floor, names or patterns; (): what touches it in the start pose."""
-    termination_height: float | None = setting(None, key="terminationHeight", above=0)
-    """A touched robot with a body below this height (m) fell; null: a share of the start height."""
+    termination_height: float | None = setting(None, key="terminationHeight", above=0)  # m
     action_scale: float | None = setting(None, key="actionScale", above=0, maximum=100)
-    """Targets of the drives are the start pose + actionScale * action, in rad; null: found from
-    their gains and efforts."""
     enforce_effort_limits: bool = setting(True, key="enforceEffortLimits")
-    """Limit the drives' torques to the robot's efforts."""
     asset: AssetConfig = field(default_factory=lambda: AssetConfig("mjcf/g1.xml"))
     observations: str = setting("full", choices=("full", "deployable"))
-    """What the policy observes: all of the simulated state, or what a robot measures."""
     history_steps: int = setting(1, key="historySteps", minimum=1, maximum=_MAX_FRAMES)
-    """Frames in a `deployable` observation, one for each of the last control steps."""
-    observation_noise: ObservationNoise = field(
-        default_factory=ObservationNoise, metadata={"key": "observationNoise"}
-    )
-    """On `deployable` frames."""
+    observation_noise: ObservationNoise = setting(ObservationNoise(), key="observationNoise")
     action_delay: tuple[int, ...] = setting(
         (0, 0), key="actionDelay", minimum=0, maximum=_MAX_DELAY, length=2
-    )
-    """Control steps from a policy's choice to its effect, least and most; drawn per episode."""
+    )  # control steps
     push_robots: bool = setting(False, key="pushRobots")
-    """Change the velocities of the bases now and then."""
     push_interval_s: float = setting(5.0, key="pushInterval_s", above=0)
-    """From one push of all robots to the next."""
-    push_velocity: float = setting(0.5, key="pushVelocity", minimum=0, maximum=100)
-    """Largest change of the velocity along each axis of the ground, m/s."""
+    push_velocity: float = setting(0.5, key="pushVelocity", minimum=0, maximum=100)  # m/s
 
     @property
     def is_deployable(self) -> bool:
-        """Whether the policy observes only what a robot measures."""
+        """Whether the policy observes only quantities that a robot measures."""
         return self.observations == "deployable"
 
 
 def check_realism(settings: RobotAMPConfig, env: dict[str, Any]) -> None:
-    """Check keys of `task.env` that depend on each other.
+    """Check settings that depend on each other.
 
     Raises:
-        ConfigError: an empty range, an unknown part, or a key that has no effect.
+        ConfigError: an empty range, an unknown part of the noise, or a key without effect.
     """
-    # Once more as a whole section: a part that does not exist would be left without its noise.
     noise = env.get("observationNoise")
     read_section(ObservationNoise, noise, "task.env.observationNoise", complete=True)
-    unread = sorted(set(noise or ()) - set(settings.observation_noise.widths))
-    if unread:
+    parts = asdict(settings.observation_noise)
+    if unread := sorted(set(noise or ()) - set(parts)):
         raise ConfigError(
-            f"task.env.observationNoise.{unread[0]}: no measured part has this name; choices:"
-            f" {', '.join(settings.observation_noise.widths)}"
+            f"task.env.observationNoise.{unread[0]}: expected one of {', '.join(parts)}"
         )
     least, most = settings.action_delay
     if least > most:
         raise ConfigError(
-            f"task.env.actionDelay=[{least}, {most}]: expected the least number of control steps,"
-            " then the most"
+            f"task.env.actionDelay=[{least}, {most}]: expected [least, most] control steps"
         )
     if settings.is_deployable:
         return
     if settings.history_steps > 1:
         raise ConfigError(
-            f"task.env.historySteps={settings.history_steps}: only observations of a robot's own"
-            " measurements have a history; add task.env.observations=deployable, or leave it 1"
+            f"task.env.historySteps={settings.history_steps}: full observations have no history;"
+            " add task.env.observations=deployable, or set it to 1"
         )
-    if any(settings.observation_noise.widths.values()):
+    if any(parts.values()):
         raise ConfigError(
-            "task.env.observationNoise is of a robot's measurements; add"
-            " task.env.observations=deployable (noise on the full observation:"
-            " task.task.randomization_params.observations)"
+            "task.env.observationNoise needs task.env.observations=deployable; noise on full"
+            " observations is task.task.randomization_params.observations"
         )
 
 
 class RobotAMP(HumanoidAMP):
-    """A robot that is given by its file; bodies, drives and start pose are found or set by keys.
+    """A robot from a file; bodies, drives and start pose are derived from the model or set by keys.
 
-    Differs from HumanoidAMP: PD targets are offsets from the start pose, and efforts are limited.
-    With `observations: deployable` the policy observes what a robot measures, see
-    `deployable_observations`, and an asymmetric critic all of the state; the AMP observation stays
-    the same. Noise is on the policy's frames alone.
+    PD targets are offsets from the start pose, and efforts are limited, unlike in HumanoidAMP. If
+    `observations` is `deployable`, the policy observes frames, see `deployable_observations`. An
+    asymmetric critic then observes the full state. Noise affects only the policy's frames, and the
+    AMP observation does not change.
 
     Raises:
-        ConfigError: a file or key that cannot be used, see `robots.load.load_robot`.
-        MotionFileError: a clip that cannot be used, or belongs to another robot.
+        ConfigError: a file or key is invalid, see `robots.load.load_robot`.
+        MotionFileError: a clip is invalid or belongs to another robot.
     """
 
     settings_class = RobotAMPConfig
@@ -161,13 +134,13 @@ class RobotAMP(HumanoidAMP):
     num_dofs_of_assets = ()
 
     def read_settings(self, env: dict[str, Any]) -> RobotAMPConfig:
-        """As the base, and check the keys that depend on each other."""
+        """Check `task.env`, including keys that depend on each other."""
         config: RobotAMPConfig = super().read_settings(env)
         check_realism(config, env)
         return config
 
     def build_model(self) -> mujoco.MjModel:
-        """Return the model of the robot on a floor; log what was taken and added."""
+        """Return the model of the robot on a floor, and log how it was derived."""
         path = asset_path(self.env_cfg.asset, self.default_asset)
         self._robot = load_robot(path, self.env_cfg, "task.env")
         self._spec = self._robot.spec
@@ -177,7 +150,7 @@ class RobotAMP(HumanoidAMP):
         friction = self.env_cfg.plane.dynamic_friction
         model = compile_spec(self._spec, path, self.sim_cfg, friction, self.change_spec)
         set_actuators(model, self.env_cfg)
-        # Of the robot alone: a goal may have added objects.
+        # `model` may contain objects of the goal.
         self._skeleton = Skeleton.from_model(self._robot.model, str(path))
         return model
 
@@ -195,7 +168,7 @@ class RobotAMP(HumanoidAMP):
 
     @property
     def allows_contacts_of_clips(self) -> bool:
-        """As the base, of the bodies that were found."""
+        """Whether bodies that touch the ground in the clips may touch it in episodes."""
         return not self.env_cfg.contact_bodies
 
     def reference_skeleton(self) -> Skeleton:
@@ -203,7 +176,7 @@ class RobotAMP(HumanoidAMP):
         return self._skeleton
 
     def default_pose(self) -> tuple[Tensor, Tensor]:
-        """Return root state (13,) and DOF positions (D,) rad of the start pose, on the floor."""
+        """Return root state (13,) and DOF positions (D,) in rad of the start pose, on the floor."""
         qpos = self._robot.start_qpos
         root_state = torch.zeros(13, device=self.device)
         root_state[:3] = torch.from_numpy(qpos[:3])
@@ -220,28 +193,26 @@ class RobotAMP(HumanoidAMP):
         offset = self.default_pose()[1].to(lower)
         return offset, torch.full_like(offset, self._action_scale_rad())
 
-    # --- what a robot measures, and what disturbs it -----------------------------------------
-
     def character_observation_groups(self) -> dict[str, int]:
-        """As the base, or `history_groups`."""
+        """Return the parts of the base observation, or of the policy's frames."""
         if not self.env_cfg.is_deployable:
             return super().character_observation_groups()
         return history_groups(self._layout.num_dofs, self.env_cfg.history_steps)
 
     def observation_frames(self) -> dict[str, str]:
-        """As the base, and of what a robot measures."""
+        """Return the frames of the observation parts, including measured ones."""
         measured = {"root_ang_vel_b": "base", "gravity_b": "base", "dof_pos_offset": "joint"}
         return super().observation_frames() | measured
 
     def states_size(self) -> int:
-        """As the base, or see `compute_states`."""
+        """Return the dimension of the privileged observation, see `compute_states`."""
         if not self.env_cfg.is_deployable:
             return super().states_size()
         own = self._num_amp_obs_per_step + self._layout.num_dofs + 1
         return own + self.get_task_obs_size()
 
     def allocate_buffers(self) -> None:
-        """Add the policy's frames (N, H, F), newest first, and the delay of the actions."""
+        """Add the policy's frames (N, H, F), newest first, and the action delay."""
         super().allocate_buffers()
         cfg, num_dofs, n = self.env_cfg, self._layout.num_dofs, self.num_envs
         self._frames: Tensor | None = None
@@ -252,15 +223,15 @@ class RobotAMP(HumanoidAMP):
             self._start_dof_pos = self.default_pose()[1]
             size = sum(history_groups(num_dofs, 1).values())
             self._frames = torch.zeros(n, cfg.history_steps, size, device=self.device)
-        if any(cfg.observation_noise.widths.values()):
-            widths = noise_widths(cfg.observation_noise.widths, num_dofs)
-            self._noise_widths = widths.to(self.device)
+        noise = asdict(cfg.observation_noise)
+        if any(noise.values()):
+            self._noise_widths = noise_widths(noise, num_dofs).to(self.device)
         least, most = cfg.action_delay
         if most > 0:
             self._delay = ActionDelay(least, most, n, self.num_actions, self.device)
 
     def pre_physics_step(self, actions: Tensor) -> None:
-        """As the base; push the robots first, if it is due."""
+        """Push the robots if a push is due, then run the base method."""
         is_due = self.control_steps > 0 and self.control_steps % self.push_interval == 0
         if self.env_cfg.push_robots and is_due:
             largest = self.env_cfg.push_velocity
@@ -269,17 +240,17 @@ class RobotAMP(HumanoidAMP):
         super().pre_physics_step(actions)
 
     def compute_controls(self, actions: Tensor) -> Tensor:
-        """As the base, of the actions that take effect now; a delay stores those that came."""
+        """Return the PD targets of the delayed actions."""
         return super().compute_controls(actions if self._delay is None else self._delay(actions))
 
     def update_state(self) -> None:
-        """Take the newest frames into the history."""
+        """Run the base method and add the newest frames to the history."""
         super().update_state()
         if self._frames is not None:
             push_newest(self._frames, self._measure(None, self.actions))
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """As the base; draw delays, and fill the history with the first frame."""
+        """Run the base method, draw delays, and fill the history with the first frame."""
         super().reset_state(env_ids)
         if self._delay is not None:
             self._delay.reset(env_ids)
@@ -289,27 +260,26 @@ class RobotAMP(HumanoidAMP):
             self._frames.index_copy_(0, env_ids, first)
 
     def _measure(self, env_ids: Tensor | None, last_action: Tensor) -> Tensor:
-        """Return frames with noise of all robots, or of `env_ids` (n,)."""
+        """Return noisy frames of all robots, or of `env_ids` (n,)."""
         root_states, dof_pos, dof_vel, _ = self._character_states(env_ids)
         frame = compute_frame(root_states, dof_pos, dof_vel, self._start_dof_pos, last_action)
         return frame if self._noise_widths is None else add_noise(frame, self._noise_widths)
 
     def _observe_clip(self, states: CharacterState) -> Tensor | None:
-        """None of what a robot measures: clips do not show its earlier actions."""
+        """Return None for frames: clips do not contain actions."""
         return super()._observe_clip(states) if self._frames is None else None
 
     def _observe_character(self, env_ids: Tensor | None) -> Tensor:
-        """As the base, or the frames of the last control steps, newest first."""
         if self._frames is None:
             return super()._observe_character(env_ids)
         frames = self._frames if env_ids is None else self._frames.index_select(0, env_ids)
         return frames.flatten(1)
 
     def compute_states(self, env_ids: Tensor | None, observations: Tensor) -> Tensor:
-        """Return what the critic of a `deployable` policy observes, (n, numStates).
+        """Return the privileged observations (n, numStates) of a `deployable` policy's critic.
 
-        The full observation of the character without noise, the clamped action of the last step
-        (D), the delay of the episode's actions (1, control steps), and the goal.
+        They contain the full noise-free observation, the clamped action of the last step (D), the
+        action delay (1, control steps), and the goal.
         """
         if self._frames is None:
             return observations
@@ -322,59 +292,51 @@ class RobotAMP(HumanoidAMP):
         return torch.cat((super()._observe_character(env_ids), last_action, delay, goal), dim=-1)
 
     def current_amp_features(self, env_ids: Tensor | None = None) -> Tensor:
-        """As the base, whatever the policy observes."""
+        """Return one step of the AMP observation, even if the policy observes frames."""
         if self._frames is None:
             return super().current_amp_features(env_ids)
         if self.num_states == 0:
             return self._amp_features(self._character_states(env_ids))
-        features = self.states_buf[:, : self._num_amp_obs_per_step]  # the critic's first part
+        # The privileged observation starts with it.
+        features = self.states_buf[:, : self._num_amp_obs_per_step]
         return features if env_ids is None else features.index_select(0, env_ids)
 
 
 class RobotAMPVelocity(RobotAMP):
-    """RobotAMP that moves as commanded: style from clips, velocities from commands.
+    """RobotAMP that follows velocity commands in the style of its clips.
 
     Raises:
-        ConfigError: as RobotAMP; or no clip moves along the ground, but commands do.
+        ConfigError: see `RobotAMP`; or commands need motion, but no clip moves along the ground.
     """
 
     goal_class = Velocity
     goal: Velocity
 
     def create_sim(self) -> None:
-        """As the base, and check that there is a clip to go with."""
+        """Create the simulations; refuse clips that all stand, and warn of sideways motion."""
         super().create_sim()
         ranges = self.goal.settings.command_ranges
-        if any((*ranges.linear_x, *ranges.linear_y)):
-            self._check_clips_go()
-
-    def _check_clips_go(self) -> None:
-        """Refuse clips of which none goes; warn of those that go sideways."""
+        if not any((*ranges.linear_x, *ranges.linear_y)):
+            return
         fastest_m_s = self.motion_lib.fastest_clip_m_s()
         where = f"task.env.motion_file={self.env_cfg.motion_file}"
         if fastest_m_s < _STANDING_M_S:
             raise ConfigError(
-                f"{where}: no clip moves along the ground"
-                f" (the fastest at {fastest_m_s:.3f} m/s), so that there is no style to follow"
-                " task.env.randomCommandVelocityRanges with; give clips whose root moves"
+                f"{where}: no clip moves along the ground (fastest: {fastest_m_s:.3f} m/s), but"
+                " task.env.randomCommandVelocityRanges needs one; choose clips whose root moves"
             )
-        forward_m_s, left_m_s, _ = self.goal.planar_motion(self._roots_of_clips()).mean(0).tolist()
-        if abs(left_m_s) > max(abs(forward_m_s), _STANDING_M_S):
-            quarter = math.copysign(math.pi / 2, left_m_s)
-            front_rad = self.goal.settings.forward_yaw_rad + quarter
-            log.warning(
-                "%s: the clips go to the left at %.2f m/s and forward at %.2f m/s; if that is the"
-                " front of the robot, which is not the x axis of its base, set"
-                " task.env.forwardYaw=%.2f",
-                *(where, left_m_s, forward_m_s, math.remainder(front_rad, 2 * math.pi)),
-            )
-
-    def _roots_of_clips(self) -> Tensor:
-        """Return (frames of all clips, 13), the states of the root."""
-        parts = []
+        roots = []
         for index in range(self.motion_lib.num_motions()):
             clip = self.motion_lib.get_motion(index)
             velocities = clip.linear_velocity_w[:, 0], clip.angular_velocity_w[:, 0]
             arrays = (clip.root_translation, clip.local_rotation[:, 0], *velocities)
-            parts.append(torch.cat([torch.from_numpy(a).float() for a in arrays], dim=-1))
-        return torch.cat(parts)
+            roots.append(torch.cat([torch.from_numpy(a).float() for a in arrays], dim=-1))
+        forward_m_s, left_m_s, _ = self.goal.planar_motion(torch.cat(roots)).mean(0).tolist()
+        if abs(left_m_s) > max(abs(forward_m_s), _STANDING_M_S):
+            quarter = math.copysign(math.pi / 2, left_m_s)
+            front_rad = self.goal.settings.forward_yaw_rad + quarter
+            log.warning(
+                "%s: the clips move to the left at %.2f m/s and forward at %.2f m/s; if the robot's"
+                " front is not the x axis of its base, set task.env.forwardYaw=%.2f",
+                *(where, left_m_s, forward_m_s, math.remainder(front_rad, 2 * math.pi)),
+            )

@@ -1,1 +1,1 @@
-"""The humanoids of ASE: skills from a data set of clips, and goals to use them for."""
+"""The humanoids of ASE learn skills from many clips and use them for goals."""

@@ -1,4 +1,4 @@
-"""HumanoidASE: the humanoid of ASE, which learns skills from many clips and uses them for goals."""
+"""HumanoidASE: the humanoid of ASE learns skills from many clips and uses them for goals."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import assets_dir
 from isaacgymenvs_lite.schema import keys_of, read_section, setting
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
-from isaacgymenvs_lite.tasks.amp.humanoid_model import copy_drives
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState, HumanoidAMPConfig
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     all_body_observation_groups,
     compute_all_body_observations,
@@ -27,27 +25,22 @@ from isaacgymenvs_lite.tasks.goals import GOAL_NAMES, GOALS, Goal, goal_keys
 
 @dataclass(frozen=True, kw_only=True)
 class HumanoidASEConfig(HumanoidAMPConfig):
-    """`task.env` of HumanoidASE; defaults as ASE's files for pre-training."""
+    """`task.env` of HumanoidASE, with the defaults of ASE's files for pre-training."""
 
     state_init: str = setting(
         "Hybrid", key="stateInit", choices=("Default", "Start", "Random", "Hybrid")
     )
     num_amp_obs_steps: int = setting(10, key="numAMPObsSteps", minimum=2, maximum=1000)
     local_root_obs: bool = setting(True, key="localRootObs")
-    """In the AMP observation: take the heading out of the root's rotation. In the policy's the
-    opposite: keep it there (ASE's files and checkpoints rely on that)."""
-    root_height_obs: bool = setting(True, key="rootHeightObs")
-    """False gives 0 for the height of the root in observations."""
+    """True removes the heading from the root rotation in the AMP observation, but keeps it in the
+    policy observation. ASE's files and checkpoints rely on that."""
+    root_height_obs: bool = setting(True, key="rootHeightObs")  # False observes height 0
     key_bodies: tuple[str, ...] = setting(
         ("right_hand", "left_hand", "right_foot", "left_foot"), key="keyBodies", min_length=1
     )
-    """Bodies whose positions are in the AMP observation."""
     termination_height: float = setting(0.15, key="terminationHeight")
-    """An episode ends when a touched character has a body below this height (m), or its head below
-    0.3 m, or the arm with the shield below 0.32 m."""
     motion_file: str = setting("locomotion.yaml")
     goal: str = setting("none", choices=GOAL_NAMES)
-    """The goal of the character, which the last entries of the observation describe."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,74 +48,74 @@ class GetupConfig(HumanoidASEConfig):
     """`task.env` of HumanoidASEGetup."""
 
     recovery_episode_prob: float = setting(0.2, key="recoveryEpisodeProb", minimum=0, maximum=1)
-    """Share of the falls after which the character gets up from where it lies."""
     recovery_steps: int = setting(60, key="recoverySteps", minimum=0)
-    """Control steps in which lying on the ground ends no episode."""
     fall_init_prob: float = setting(0.1, key="fallInitProb", minimum=0, maximum=1)
-    """Share of the other episodes that start lying."""
 
 
 def read_ase_config(
     env: dict[str, Any], cls: type[HumanoidASEConfig] = HumanoidASEConfig
 ) -> HumanoidASEConfig:
-    """Check `task.env` of a task of ASE; the goal reads its own keys.
-
-    Raises:
-        ConfigError: an unknown, ill-typed or impossible value.
-    """
+    """Return the checked keys of `task.env`, except the goal's keys."""
     getup = keys_of(GetupConfig) - keys_of(cls)
     return read_section(cls, env, "task.env", ignored=(*UNREAD_ENV_KEYS, *goal_keys(), *getup))
 
 
-# The file with ASE's drives; `amp_humanoid.xml` has IsaacGymEnvs'.
+# This file has ASE's drives; `amp_humanoid.xml` has IsaacGymEnvs'.
 _ASSET_OF_DRIVES = "mjcf/amp_humanoid_sword_shield.xml"
 HEAD = "head"
-# These bodies count as fallen below larger heights (m).
+# These bodies have larger termination heights (m).
 _HIGH_BODIES = {HEAD: 0.3}
 _HIGH_BODIES_WITH_SHIELD = {"left_lower_arm": 0.32}
+
+
+def copy_drives(source: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
+    """Copy gains, efforts and armatures from actuators and joints of the same names."""
+    drives = {actuator.name: actuator for actuator in source.actuators}
+    joints = {joint.name: joint for joint in source.joints}
+    for actuator in spec.actuators:
+        if actuator.name in drives:
+            drive = drives[actuator.name]
+            actuator.gainprm, actuator.biasprm = drive.gainprm, drive.biasprm
+            actuator.forcerange = drive.forcerange
+    for joint in spec.joints:
+        if joint.name in joints:
+            joint.armature = joints[joint.name].armature
 
 
 class HumanoidASE(HumanoidAMP):
     """HumanoidAMP with the conventions of the ASE release, and a goal.
 
-    Apart from the defaults of cfg/task/HumanoidASE.yaml it differs from HumanoidAMP so: the policy
-    observes all bodies, and then its goal; the AMP observation encodes hinges as
-    rotations; drives are stiffer; targets of ball joints reach 1.2 times their limits; the head
-    counts as fallen at 0.3 m. The humanoid with sword and shield (31 degrees of freedom) is
-    another asset.
+    It differs from HumanoidAMP in these points:
 
-    Raises:
-        ConfigError: a key or value that cannot be used.
-        MotionFileError: a clip that cannot be used.
+    - The policy observes all bodies and the goal.
+    - The AMP observation encodes hinges as rotations.
+    - The drives are stiffer, and targets of ball joints reach 1.2 times their limits.
+    - A head below 0.3 m counts as fallen.
+
+    The humanoid with sword and shield (31 degrees of freedom) is another asset.
     """
 
     amp_obs_as_ase = True
     num_dofs_of_assets = (28, 31)
     settings_class: ClassVar[type[HumanoidASEConfig]] = HumanoidASEConfig
     goal_name: ClassVar[str] = ""
-    """The goal of a task that has a fixed one."""
+    """Name of the goal, if the task has a fixed goal."""
 
     env_cfg: HumanoidASEConfig
 
-    # --- what kind of humanoid ---------------------------------------------------------------
-
     def read_settings(self, env: dict[str, Any]) -> HumanoidASEConfig:
-        """Check `task.env`, and make the goal that it names.
-
-        Raises:
-            ConfigError: a value that cannot be used, or a goal other than the task's own.
-        """
+        """Check `task.env` and create the goal; raise ConfigError for a goal of another task."""
         config = read_ase_config(env, self.settings_class)
         if self.goal_name and env.get("goal", self.goal_name) != self.goal_name:
             raise ConfigError(
-                f"task.env.goal={config.goal}: {type(self).__name__} has the goal"
-                f" '{self.goal_name}'; task=HumanoidASE takes any"
+                f"task.env.goal={config.goal}: {type(self).__name__} requires the goal"
+                f" '{self.goal_name}'; use task=HumanoidASE for other goals"
             )
         self.goal: Goal = GOALS[self.goal_name or config.goal](env)
         return config
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
-        """Give the character ASE's drives and add the objects of the goal."""
+        """Set ASE's drives and add the objects of the goal."""
         copy_drives(mujoco.MjSpec.from_file(str(assets_dir() / _ASSET_OF_DRIVES)), spec)
         super().change_spec(spec)
 
@@ -131,7 +124,7 @@ class HumanoidASE(HumanoidAMP):
         return all_body_observation_groups(len(self._layout.body_names))
 
     def observation_frames(self) -> dict[str, str]:
-        """Return the frames of the parts of `compute_all_body_observations` that have one."""
+        """Return the frames of the parts of `compute_all_body_observations`."""
         vectors = ("body_pos", "body_lin_vel", "body_ang_vel")
         return {"root_height": "world", **dict.fromkeys(vectors, "heading")}
 
@@ -149,8 +142,6 @@ class HumanoidASE(HumanoidAMP):
         heights = [max(lowest, high.get(name, lowest)) for name in names]
         return torch.tensor(heights, device=self.device)
 
-    # --- step --------------------------------------------------------------------------------
-
     def _observe_character(self, env_ids: Tensor | None) -> Tensor:
         sim = self.simulation
         bodies = [sim.body_pos, sim.body_rot, sim.body_lin_vel, sim.body_ang_vel]
@@ -162,7 +153,7 @@ class HumanoidASE(HumanoidAMP):
         )
 
     def _observe_clip(self, states: CharacterState) -> Tensor | None:
-        """Return observations of all bodies; the simulation computes their motion."""
+        """Return observations of all bodies, whose motion the simulation computes."""
         root_states, dof_pos, dof_vel, _ = states
         observations = []
         for rows in torch.arange(len(root_states), device=self.device).split(self.num_envs):
@@ -178,29 +169,29 @@ class HumanoidASE(HumanoidAMP):
         return features
 
     def current_amp_features(self, env_ids: Tensor | None = None) -> Tensor:
-        """As the base, in ASE's encoding."""
+        """Return one step of the AMP observation in ASE's encoding."""
         return self._amp_features(self._character_states(env_ids))
 
 
 class HumanoidHeading(HumanoidASE):
-    """HumanoidASE with the goal `heading`, by its name in ASE."""
+    """HumanoidASE with the goal `heading`."""
 
     goal_name = "heading"
 
 
 class HumanoidLocation(HumanoidASE):
-    """HumanoidASE with the goal `location`, by its name in ASE."""
+    """HumanoidASE with the goal `location`."""
 
     goal_name = "location"
 
 
 class HumanoidReach(HumanoidASE):
-    """HumanoidASE with the goal `reach`, by its name in ASE."""
+    """HumanoidASE with the goal `reach`."""
 
     goal_name = "reach"
 
 
 class HumanoidStrike(HumanoidASE):
-    """HumanoidASE with the goal `strike`, by its name in ASE."""
+    """HumanoidASE with the goal `strike`."""
 
     goal_name = "strike"

@@ -1,4 +1,4 @@
-"""HumanoidASEGetup: skills that include getting up, as ASE's HumanoidAMPGetup."""
+"""HumanoidASEGetup: skills that include getting up, as in ASE's HumanoidAMPGetup."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.vec_task import Done
 
 _FALL_ACTION = 0.5
-# Time (s) after which a dropped character lies still.
-_FALL_S = 2.5
+_FALL_S = 2.5  # dropped characters then lie still
 
 
 class HumanoidASEGetup(HumanoidASE):
     """HumanoidASE in which some episodes start on the ground.
 
-    After some falls the next episode goes on from where the character lies, and some others start
-    from a fallen pose. For `recoverySteps` control steps neither falls nor the time limit end them.
-    Without a goal the reward of the task says how near root and head are to their heights in
-    standing: the mean of both, 1 there, 0 on the ground and at twice the height. The root alone is
-    lifted with the hands on the ground, and a character that is paid for more height leaps.
-    ASE's, a constant 1, says nothing about getting up.
+    After some falls the next episode continues from the fallen pose. Other episodes start in a
+    random fallen pose. Neither falls nor the time limit end these episodes in the first
+    `recoverySteps` control steps.
+
+    Without a goal, the reward is the mean of two terms, for the heights of root and head. A term is
+    1 at the standing height, and 0 on the ground and at twice the height. A reward of the root
+    alone teaches lifting it with the hands on the ground, and a reward of any height teaches
+    leaping. ASE's constant reward does not teach getting up.
 
     Attributes:
-        fallen_root_states: (N, 13) of characters that lie on the ground at rest.
-        fallen_dof_pos: (N, D) rad, likewise.
-        recovery_steps_left: (N,) control steps that each character has left to get up.
+        fallen_root_states: (N, 13) characters at rest on the ground.
+        fallen_dof_pos: (N, D) rad, their joint positions.
+        recovery_steps_left: (N,) remaining control steps to get up.
     """
 
     settings_class = GetupConfig
@@ -39,20 +40,20 @@ class HumanoidASEGetup(HumanoidASE):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.fallen_root_states, self.fallen_dof_pos = self._let_fall()
-        # Some of the first episodes go on from here: as if all had fallen a while ago.
+        # All characters count as fallen, so that some first episodes continue from here.
         self.done_buf.fill_(Done.FAILED)
         self._amp_obs_buf.copy_(self.current_amp_features().unsqueeze(1))
 
     def allocate_buffers(self) -> None:
-        """Add the time that each character has left to get up."""
+        """Add the remaining time to get up."""
         super().allocate_buffers()
         self.recovery_steps_left = torch.zeros_like(self.progress_buf)
 
     @torch.inference_mode()
     def _let_fall(self) -> tuple[Tensor, Tensor]:
-        """Drop all characters in random attitudes; root states (N, 13) and joints (N, D) at rest.
+        """Drop all characters in random attitudes; return root states (N, 13) and joints (N, D).
 
-        The characters stay there: their first episodes may start so.
+        The characters stay there, because their first episodes may start there.
         """
         n, sim = self.num_envs, self.simulation
         env_ids = torch.arange(n, device=self.device)
@@ -71,35 +72,35 @@ class HumanoidASEGetup(HumanoidASE):
         return root_states, dof_pos
 
     def pre_physics_step(self, actions: Tensor) -> None:
-        """As the base, and count the time to get up."""
+        """Run the base method and count down the time to get up."""
         super().pre_physics_step(actions)
         self.recovery_steps_left.sub_(1).clamp_(min=0)
 
     def compute_reward_terms(self) -> Terms:
-        """Return how far the character is up, 0 to 1; with a goal the goal's reward."""
+        """Return the reward of standing upright, 0 to 1, or the goal's reward."""
         if self.goal.num_obs > 0:
             return super().compute_reward_terms()
         off = (self._heights_m() / self._standing_m - 1.0).abs()
         return {"upright": (1.0 - off).clamp(min=0.0).mean(dim=1)}
 
     def _heights_m(self) -> Tensor:
-        """Return the heights (N, 2) m of root and head; of a humanoid without a head (N, 1)."""
+        """Return the heights (N, 2) m of root and head; (N, 1) without a head."""
         sim = self.simulation
         head = [sim.body_names.index(HEAD)] if HEAD in sim.body_names else []
         return torch.cat((sim.root_states[:, 2:3], sim.body_pos[:, head, 2]), dim=1)
 
     def compute_failures(self) -> Tensor:
-        """As the base, but characters that have time left to get up do not fail."""
+        """Return (N,) bool: the character fell, and has no time left to get up."""
         return super().compute_failures() & (self.recovery_steps_left == 0)
 
     def compute_time_outs(self) -> Tensor:
-        """As the base, but characters that have time left to get up may go on."""
+        """Return (N,) bool: the time limit is reached, with no time left to get up."""
         return super().compute_time_outs() & (self.recovery_steps_left == 0)
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Leave some where they lie, lay some down, and start the others as HumanoidASE."""
+        """Leave some characters where they are, lay some down, and start the others in clips."""
         cfg = self.env_cfg
-        # A diverged simulation counts as a fall, but has no pose to go on from.
+        # A diverged simulation has no valid pose to continue from.
         lies_there = (self.done_buf == Done.FAILED) & ~self.simulation.failed
         fell = lies_there.index_select(0, env_ids)
         recovers = fell & (uniform(env_ids, 0.0, 1.0) < cfg.recovery_episode_prob)
@@ -119,6 +120,6 @@ class HumanoidASEGetup(HumanoidASE):
         self.recovery_steps_left.index_fill_(0, down, cfg.recovery_steps)
 
     def _start_histories(self, env_ids: Tensor) -> None:
-        """As the base, except for characters that go on: their motion is continuous."""
+        """Keep the histories of characters whose motion continues."""
         starts_new = ~torch.isin(env_ids, self._going_on_ids)
         super()._start_histories(env_ids[starts_new])

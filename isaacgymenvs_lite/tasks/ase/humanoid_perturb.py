@@ -1,7 +1,8 @@
-"""HumanoidPerturb: boxes are thrown at a trained character, as ASE's task of that name."""
+"""HumanoidPerturb: boxes are thrown at a trained character, as in ASE."""
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import mujoco
@@ -13,21 +14,10 @@ from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.goals.boxes import add_box
 from isaacgymenvs_lite.utils.rotations import normalize
 
-# Edge (m) and density (kg/m^3).
-_SMALL, _LARGE = (0.2, 200.0), (0.5, 100.0)
-# Kind of box, and control steps since the throw before.
+_SMALL, _LARGE = (0.2, 200.0), (0.5, 100.0)  # edge (m) and density (kg/m^3)
+# Each throw has a kind of box and the control steps since the previous throw.
 _THROWS = (
-    (_SMALL, 60),
-    (_SMALL, 7),
-    (_SMALL, 10),
-    (_SMALL, 35),
-    (_SMALL, 2),
-    (_SMALL, 2),
-    (_SMALL, 3),
-    (_SMALL, 2),
-    (_SMALL, 2),
-    (_SMALL, 3),
-    (_SMALL, 2),
+    *((_SMALL, wait) for wait in (60, 7, 10, 35, 2, 2, 3, 2, 2, 3, 2)),
     (_LARGE, 60),
     (_SMALL, 300),
 )
@@ -38,44 +28,40 @@ _AIMED_AT = "torso"
 
 
 def throw_steps() -> tuple[int, ...]:
-    """Return the control steps at which the boxes are thrown, in their order."""
-    steps, now = [], 0
-    for _, wait in _THROWS:
-        now += wait
-        steps.append(now)
-    return tuple(steps)
+    """Return the control steps at which the boxes are thrown, in order."""
+    return tuple(itertools.accumulate(wait for _, wait in _THROWS))
 
 
 class HumanoidPerturb(HumanoidASE):
-    """A test of robustness, not for training: episodes end at the time limit only.
+    """A robustness test, not for training: episodes end at the time limit only.
 
-    Thirteen boxes, 1.6 kg and one of 12.5 kg, come from random sides at 30 to 40 m/s. The first
-    environment is their clock.
+    Twelve boxes of 1.6 kg and one of 12.5 kg come from random sides at 30 to 40 m/s. The episode of
+    the first environment determines when they are thrown.
     """
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
-        """As the base, and add the boxes, out of the way."""
+        """Run the base method and add the boxes far away."""
         super().change_spec(spec)
         x, y, z = _PARKED_AT_M
         for i, ((edge, density), _) in enumerate(_THROWS):
             add_box(spec, f"box_{i}", (edge, edge, edge), density, (x + i, y, z))
 
     def create_sim(self) -> None:
-        """As the base."""
+        """Create the simulations and look up the boxes."""
         super().create_sim()
         self._aim_body = self.simulation.body_names.index(_AIMED_AT)
         names = self.simulation.object_names
         self._box_at_step = {step: names.index(f"box_{i}") for i, step in enumerate(throw_steps())}
 
     def pre_physics_step(self, actions: Tensor) -> None:
-        """As the base, and throw the box that is due."""
+        """Run the base method and throw the box that is due."""
         super().pre_physics_step(actions)
         clock = int(self.progress_buf[0]) % (throw_steps()[-1] + 1)
         if clock in self._box_at_step:
             self.throw(self._box_at_step[clock])
 
     def throw(self, box: int) -> None:
-        """Throw a box, by its place in `simulation.object_names`, at all characters."""
+        """Throw a box at all characters, by its index in `simulation.object_names`."""
         env_ids = torch.arange(self.num_envs, device=self.device)
         sim = self.simulation
         torso, root = sim.body_pos[:, self._aim_body], sim.root_states[:, :3]
@@ -93,5 +79,5 @@ class HumanoidPerturb(HumanoidASE):
         )
 
     def compute_failures(self) -> Tensor:
-        """Return (N,) False: nothing but a diverged simulation ends an episode early."""
+        """Return (N,) False: falls do not end episodes."""
         return torch.zeros_like(self.timeout_buf)

@@ -1,4 +1,4 @@
-"""HumanoidViewMotion: the character is moved along the clips, as ASE's task of that name."""
+"""HumanoidViewMotion: the character is moved along the clips, as in ASE."""
 
 from __future__ import annotations
 
@@ -13,41 +13,41 @@ from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE, HumanoidASECon
 
 
 class HumanoidViewMotion(HumanoidASE):
-    """Plays clips without physics: environment i starts with clip i, and goes on to the next.
+    """Plays clips without physics: environment i starts with clip i and continues with the next.
 
-    Actions have no effect. A step is one control step of playback, and an episode one clip.
+    Actions have no effect. A step is one control step of playback, and an episode is one clip.
     """
 
     def read_settings(self, env: dict[str, Any]) -> HumanoidASEConfig:
-        """As the base; motors, whose controls are zero."""
+        """Return the settings with motors, whose controls are zero."""
         return dataclasses.replace(super().read_settings(env), pd_control=False)
 
     def simulator_calls(self) -> int:
-        """Return 1: the result of the physics is overwritten."""
+        """Return 1: the clips overwrite the result of the physics."""
         return 1
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
-        """As the base; nothing touches anything."""
+        """Run the base method and disable all contacts."""
         super().change_spec(spec)
         for geom in spec.geoms:
             geom.contype = geom.conaffinity = 0
 
     def allocate_buffers(self) -> None:
-        """Add the clip that each environment plays, (N,)."""
+        """Add the clip (N,) of each environment."""
         super().allocate_buffers()
         clips = torch.arange(self.num_envs, device=self.device)
         self._motion_ids = clips % self.motion_lib.num_motions()
 
     def action_scaling(self) -> None:
-        """Return None: actions do nothing."""
+        """Return None: actions have no effect."""
         return None
 
     def pre_physics_step(self, actions: Tensor) -> None:
-        """As the base, without torques."""
+        """Run the base method with zero torques."""
         super().pre_physics_step(torch.zeros_like(actions))
 
     def post_physics_step(self) -> None:
-        """Show the clips at the time of this step; then as the base."""
+        """Show the clips at the time of this step, then run the base method."""
         env_ids = torch.arange(self.num_envs, device=self.device)
         self._show(env_ids, self.progress_buf + 1)
         super().post_physics_step()
@@ -61,7 +61,7 @@ class HumanoidViewMotion(HumanoidASE):
         self.simulation.write_state(env_ids, root_states, state.dof_pos, at_rest)
 
     def compute_failures(self) -> Tensor:
-        """Return (N,) False: none is a failure."""
+        """Return (N,) False: playback does not fail."""
         return torch.zeros_like(self.timeout_buf)
 
     def compute_time_outs(self) -> Tensor:
@@ -70,7 +70,7 @@ class HumanoidViewMotion(HumanoidASE):
         return self.progress_buf * self.control_dt_s > lengths
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Go on to the next clips; the first ones stay."""
+        """Continue with the next clips; the first episodes keep their clips."""
         is_over = self.progress_buf.index_select(0, env_ids) > 0
         clips = self._motion_ids.index_select(0, env_ids) + is_over * self.num_envs
         self._motion_ids.index_copy_(0, env_ids, clips % self.motion_lib.num_motions())

@@ -1,4 +1,4 @@
-"""The MJCF file of a task and its compiled model."""
+"""Finds and compiles the MJCF file of a task."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ from isaacgymenvs_lite.tasks.base.task_config import AssetConfig, SimConfig
 
 log = logging.getLogger(__name__)
 
-# End of the `assetRoot` in files of ASE and its forks, relative to their checkout.
-_ASSETS_OF_ASE = ("data", "assets")
+_ASSETS_OF_ASE = ("data", "assets")  # relative `assetRoot` in files of ASE and its forks
 
 
 def asset_path(
@@ -29,37 +28,35 @@ def asset_path(
     published: Collection[str] = (),
     key: str = "task.env.asset.assetFileName",
 ) -> Path:
-    """Return the MJCF that `task.env.asset` names.
+    """Return the path of the MJCF file that `task.env.asset` names.
 
     Args:
         asset: the section.
-        own: the task's own file, relative to assets/.
-        published: names that published task files give to their project's file; `own` replaces them
-            where there is no such file.
-        key: the name's key, for messages.
+        own: path of the task's own file, relative to assets/.
+        published: file names of published task files, for which `own` is used if they do not exist.
+        key: key of the file name, for messages.
 
     Raises:
-        ConfigError: there is no such file.
+        ConfigError: the file does not exist.
     """
     name = asset.asset_file_name or own
     root = Path(asset.asset_root) if asset.asset_root else assets_dir()
     made_for_isaac_gym = not root.is_absolute() and root.parts[-2:] == _ASSETS_OF_ASE
     if (made_for_isaac_gym or not root.is_dir()) and (assets_dir() / name).is_file():
-        # Published files name the assets folder of their own project.
         reason = "has models for Isaac Gym" if root.is_dir() else "does not exist"
-        log.info("task.env.asset.assetRoot=%s %s: using %s", root, reason, assets_dir())
+        log.info("task.env.asset.assetRoot=%s %s; using %s", root, reason, assets_dir())
         root = assets_dir()
     path = root / name
     if path.is_file():
         return path
     if name in published:
-        log.info("%s: %s is not part of this project, whose model is %s", key, name, own)
+        log.info("%s: %s does not exist here; using %s", key, name, own)
         return assets_dir() / own
     raise ConfigError(f"{key}='{name}': no file {path}; shipped: {shipped_assets()}")
 
 
 def shipped_assets() -> str:
-    """Return the names of the MJCF files that come with the project, for messages."""
+    """Return the names of the project's MJCF files, for messages."""
     return ", ".join(
         sorted(str(p.relative_to(assets_dir())) for p in assets_dir().glob("mjcf/*.xml"))
     )
@@ -72,18 +69,9 @@ def compile_model(
     dynamic_friction: float,
     change: Callable[[mujoco.MjSpec], None] = lambda spec: None,
 ) -> mujoco.MjModel:
-    """Compile an MJCF with the task's time step, gravity and friction; see `compile_spec`.
+    """Compile an MJCF file with the task's time step, gravity and friction; see `compile_spec`.
 
-    Args:
-        path: the file.
-        own: the task's own file, relative to assets/. Another one that is not in assets/ is a
-            stranger's.
-        sim: `task.sim`.
-        dynamic_friction: coefficient of sliding friction with the geom `floor`, if there is one.
-        change: changes the file's contents before they are compiled.
-
-    Raises:
-        ConfigError: MuJoCo refuses the file, or `read_robot_file` refuses a stranger's.
+    A file outside of assets/, except the task's own file `own`, is read as an untrusted robot file.
     """
     file, ours = path.resolve(), assets_dir().resolve()
     if file.is_relative_to(ours) or file == (ours / own).resolve():
@@ -106,22 +94,18 @@ def compile_spec(
 ) -> mujoco.MjModel:
     """Compile a specification with the task's time step, gravity and friction.
 
-    Args:
-        spec: what the file at `path` contains, perhaps changed.
-        path: for messages.
-        sim: `task.sim`.
-        dynamic_friction: coefficient of sliding friction with the geom `floor`, if there is one.
-        change: changes the specification before it is compiled.
+    `spec` holds the contents of the file at `path`, and `change` is applied to it first.
+    `dynamic_friction` is the coefficient of sliding friction with the geom `floor`.
 
     Raises:
-        ConfigError: MuJoCo refuses it.
+        ConfigError: MuJoCo cannot compile the specification.
     """
     with explained(path):
         change(spec)
         model = spec.compile()
     model.opt.timestep = sim.dt / sim.substeps
     model.opt.gravity[:] = sim.gravity
-    # MuJoCo takes the larger coefficient of two touching geoms: set all to the plane's value.
+    # MuJoCo uses the larger coefficient of two touching geoms, so all get the floor's coefficient.
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor") >= 0:
         model.geom_friction[:, 0] = dynamic_friction
     return model
@@ -129,7 +113,7 @@ def compile_spec(
 
 @contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Turn an error of MuJoCo's about the file at `path` into a ConfigError."""
+    """Turn MuJoCo's error about the file at `path` into a ConfigError."""
     try:
         yield
     except ValueError as error:
@@ -138,7 +122,7 @@ def explained(path: Path) -> Iterator[None]:
 
 
 def hinge_limits(model: mujoco.MjModel, layout: ModelLayout) -> npt.NDArray[np.float64]:
-    """Return the lower and upper limits (D, 2) of hinges (rad) and slides (m); 0 of all others."""
+    """Return the limits (D, 2) of hinges (rad) and slides (m), and 0 for other joints."""
     limits = np.zeros((layout.num_dofs, 2))
     for dof in layout.scalar_dofs:
         limits[dof] = model.joint(layout.dof_names[dof]).range

@@ -1,13 +1,13 @@
-"""Position drives as PhysX integrates them, for stiff drives and closed chains.
+"""Implicit integration of position drives, as in PhysX, for stiff drives and closed chains.
 
-A drive of stiffness k and damping d acts on the state *after* a step of length h: with that state
-q' = q + h v' the momentum of its joint is
+PhysX applies a drive of stiffness k and damping d to the state after a step of length h. The
+position after the step is q' = q + h v', and the momentum of the joint is
 
-    (I + h d + h^2 k) v' = I v + h k (target - q) + impulses of contacts, limits and the like.
+    (I + h d + h^2 k) v' = I v + h k (target - q) + other impulses.
 
-The same v' comes from an armature of h d + h^2 k and a damping of d + h k that acts on the velocity
-before the step. MuJoCo's own implicit integrators count the damping alone, and only after the
-constraints were solved for a joint without it: the pins of a driven closed chain give way.
+An armature of h d + h^2 k and a damping of d + h k on the previous velocity give the same v'.
+MuJoCo's implicit integrators include only the damping. They apply it after the constraints, and
+then the pins of a driven closed chain give way.
 """
 
 from __future__ import annotations
@@ -16,11 +16,10 @@ import mujoco
 
 
 def integrate_drives_implicitly(spec: mujoco.MjSpec, timestep: float) -> None:
-    """Let the position actuators on joints of a model act on the state after each step.
+    """Make the position actuators on the joints of a model act on the state after each step.
 
-    Args:
-        spec: changed: armatures of driven joints, dampings of their actuators, the integrator.
-        timestep: of a physics step (s).
+    The function changes armatures, actuator dampings and the integrator of `spec`. `timestep` is
+    the length of a physics step (s).
     """
     for actuator in spec.actuators:
         if actuator.trntype != mujoco.mjtTrn.mjTRN_JOINT:
@@ -28,5 +27,5 @@ def integrate_drives_implicitly(spec: mujoco.MjSpec, timestep: float) -> None:
         stiffness, damping = -actuator.biasprm[1], -actuator.biasprm[2]
         spec.joint(actuator.target).armature += timestep * (damping + timestep * stiffness)
         actuator.biasprm[2] = -(damping + timestep * stiffness)
-    # The others would count the damping a second time.
+    # The implicit integrators would apply the damping a second time.
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER

@@ -1,8 +1,8 @@
-"""What Quadcopter and Ingenuity share: a free body that learns to hover at a target.
+"""Common parts of Quadcopter and Ingenuity: a free body learns to hover at a target.
 
-Formulas as IsaacGymEnvs, over named quantities of N environments; the rewarded spin is about
-the vertical of the world, not about the body's axis. PhysX limits the angular
-velocity in every physics step; MuJoCo has no limit, here it holds at the end of a control step.
+The formulas are IsaacGymEnvs'. The rewarded spin is about the world's vertical axis, not about the
+body axis. PhysX limits the angular velocity in every physics step; here the limit applies at the
+end of a control step.
 """
 
 from __future__ import annotations
@@ -22,11 +22,9 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.task_config import TaskConfig
 
 HOME_M = (0.0, 0.0, 1.0)
-"""Where the body is in the model, and about where it starts."""
-# From there to where an episode starts.
+"""Position of the body in the model, and the centre of its start positions."""
 _START_ASIDE_M = (-1.5, 1.5)
 _START_ABOVE_M = (-0.2, 1.5)
-
 _MAX_ANGULAR_VELOCITY_RAD_S = 4.0 * math.pi
 
 _DISTANCE_SCALE = 1.0 / 3.0
@@ -35,11 +33,9 @@ _ANGULAR_VELOCITY_SCALE = 1.0 / math.pi
 
 
 def compute_flight_observations(to_target: Tensor, root_states: Tensor) -> Tensor:
-    """Return (N, 13): vector to the target, rotation xyzw, velocity, angular velocity, all scaled.
+    """Return scaled observations (N, 13): vector to the target, rotation xyzw, both velocities.
 
-    Args:
-        to_target: (N, 3) m, in world axes.
-        root_states: (N, 13) of the body.
+    `to_target` (N, 3) is in m, in world axes.
     """
     return torch.cat(
         (
@@ -55,17 +51,14 @@ def compute_flight_observations(to_target: Tensor, root_states: Tensor) -> Tenso
 def compute_hover_reward(
     to_target: Tensor, root_rot: Tensor, spin: Tensor, upright_weight: float
 ) -> Terms:
-    """Return the terms (N,) of the reward: at the target; there, upright; there, not spinning.
+    """Return the reward terms (N,); being upright and not spinning counts near the target only.
 
-    Args:
-        to_target: (N, 3) m.
-        root_rot: (N, 4) xyzw.
-        spin: (N,) angular velocity about the vertical (rad/s).
-        upright_weight: of being upright.
+    `to_target` (N, 3) is in m, `root_rot` (N, 4) is xyzw. `spin` (N,) is the angular velocity about
+    the vertical (rad/s), and `upright_weight` the largest reward of being upright.
     """
     near = 1.0 / (1.0 + to_target.square().sum(-1))
     x, y = root_rot[:, 0], root_rot[:, 1]
-    tilt = 2.0 * (x * x + y * y)  # 1 less the height of the body's z axis
+    tilt = 2.0 * (x * x + y * y)  # 1 minus the z component of the body's z axis
     return {
         "target": near,
         "upright": near * upright_weight / (1.0 + tilt.square()),
@@ -76,19 +69,12 @@ def compute_hover_reward(
 def compute_flight_failures(
     to_target: Tensor, height: Tensor, max_distance_m: float, min_height_m: float
 ) -> Tensor:
-    """Return (N,) bool: too far from the target, or too low.
-
-    Args:
-        to_target: (N, 3) m.
-        height: (N,) m.
-        max_distance_m: beyond it the episode ends.
-        min_height_m: below it the episode ends.
-    """
+    """Return (N,) bool: the body is too far from the target or its height (N,) is too low (m)."""
     return (to_target.norm(dim=-1) > max_distance_m) | (height < min_height_m)
 
 
 def draw_start_states(env_ids: Tensor) -> Tensor:
-    """Return states (n, 13) of bodies at rest and upright, near `HOME_M`."""
+    """Return states (n, 13) of upright bodies at rest near `HOME_M`."""
     states = torch.zeros(len(env_ids), 13, device=env_ids.device)
     states[:, :2] = uniform(env_ids, *_START_ASIDE_M, (2,))
     states[:, 2] = HOME_M[2] + uniform(env_ids, *_START_ABOVE_M)
@@ -101,7 +87,6 @@ class HoverConfig(TaskConfig):
     """Keys of `task.env` that Quadcopter and Ingenuity share."""
 
     episode_length: int = setting(500, key="maxEpisodeLength", minimum=2)
-    """Control steps of an episode."""
 
 
 class HoverTask(MjcfTask):
@@ -113,7 +98,7 @@ class HoverTask(MjcfTask):
     min_height_m: ClassVar[float]
 
     def update_state(self) -> None:
-        """Limit the angular velocities; faster bodies would gain energy from large time steps."""
+        """Limit the angular velocity: at a higher one, a large time step would add energy."""
         sim = self.simulation
         turning = sim.root_states[:, 10:].square().sum(-1)
         env_ids = (turning > _MAX_ANGULAR_VELOCITY_RAD_S**2).nonzero().flatten()

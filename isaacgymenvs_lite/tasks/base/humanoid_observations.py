@@ -1,8 +1,7 @@
-"""Observations, termination and PD targets of the AMP humanoid as pure functions.
+"""Pure functions of the AMP humanoid: observations, early termination and PD targets.
 
-Formulas as IsaacGymEnvs' HumanoidAMP and the ASE release (Peng et al. 2022, arXiv 2205.01906);
-quantities are named, batched over N environments, and can be checked without a simulator. B bodies,
-the first is the root; D degrees of freedom, K key bodies.
+The formulas come from IsaacGymEnvs' HumanoidAMP and from ASE (Peng et al. 2022, arXiv 2205.01906).
+There are N environments, B bodies with the root first, D degrees of freedom, and K key bodies.
 """
 
 from __future__ import annotations
@@ -21,27 +20,22 @@ from isaacgymenvs_lite.utils.rotations import (
     tan_norm_components,
 )
 
-# Height, rotation, linear and angular velocity of the root.
-_NUM_ROOT_OBS = 1 + 6 + 3 + 3
-# A body counts as touched above this force (N) in any axis.
+_NUM_ROOT_OBS = 1 + 6 + 3 + 3  # height, rotation, linear and angular velocity
 _CONTACT_THRESHOLD_N = 0.1
-# PD targets of hinges reach this share of the range to either side of its middle, so that motors
-# keep their strength near the limits.
-_HINGE_TARGET_SHARE = 0.7
-# The same of ball joints in ASE.
-_BALL_TARGET_SHARE = 1.2
+# Targets beyond the limits keep the motors strong near the limits.
+_HINGE_TARGET_SHARE, _BALL_TARGET_SHARE = 0.7, 1.2
 
 
 @lru_cache(maxsize=8)
-@torch.inference_mode(False)  # kept for callers in any mode
+@torch.inference_mode(False)  # callers outside of inference mode share the cache
 def _dof_obs_layout(
     dof_offsets: tuple[int, ...], as_ase: bool, device: torch.device
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Index tensors of `_dof_features`.
+    """Return the index tensors of `_dof_features`.
 
-    DOFs of the ball joints (3 * balls,), first all their x; DOFs of the hinges; and the places of
-    the features: before, all ball joints and then all hinges, component by component; after, in
-    joint order.
+    The first holds the DOFs of the ball joints: all x, then all y, then all z. The second holds the
+    DOFs of the hinges. The third sorts features by joint. Unsorted features begin with all ball
+    joints, component by component, and all hinges follow.
     """
     groups = list(itertools.pairwise(dof_offsets))
     balls = [a + axis for axis in range(3) for a, b in groups if b - a == 3]
@@ -66,12 +60,9 @@ def _dof_obs_layout(
 def num_humanoid_obs(
     dof_offsets: tuple[int, ...], num_key_bodies: int, as_ase: bool = False
 ) -> int:
-    """Return the numbers in an observation of `compute_humanoid_observations`.
+    """Return the dimension of an observation of `compute_humanoid_observations`.
 
-    Args:
-        dof_offsets: first degree of freedom of each joint group, and D.
-        num_key_bodies: K.
-        as_ase: joint positions as ASE encodes them.
+    `dof_offsets` and `as_ase` are described in `dof_to_obs`.
     """
     sizes = [end - first for first, end in itertools.pairwise(dof_offsets)]
     joints = sum(6 if as_ase or size == 3 else 1 for size in sizes)
@@ -83,23 +74,23 @@ def dof_to_obs(
 ) -> Tensor:
     """Encode joint positions for the observation, in joint order.
 
-    As IsaacGymEnvs' HumanoidAMP: a 3-DoF joint gives the tangent and normal of its rotation vector
-    (6 numbers), the identity's if it is longer than pi; a hinge gives its angle (1). As ASE:
-    vectors of any length, and a hinge gives the tangent and normal of its turn (6), about y
-    whatever its axis is.
+    IsaacGymEnvs encodes a 3-DoF joint by the tangent and normal of its rotation vector (6 values),
+    and a hinge by its angle. A rotation vector longer than pi counts as the identity. ASE accepts
+    vectors of any length. ASE also encodes a hinge by tangent and normal, as a rotation about y for
+    any axis.
 
     Args:
         dof_pos: (N, D) rad.
-        as_ase: ASE's encoding.
-        dof_offsets: first degree of freedom of each joint group, and D; None: the shipped
-            humanoid's with D = 28 or 31.
+        as_ase: True selects ASE's encoding.
+        dof_offsets: first degree of freedom of each joint, followed by D. None means the shipped
+            humanoid with D = 28 or 31.
 
     Returns:
-        (N, 6 per 3-DoF joint + 1 per hinge), or (N, 6 per joint) with `as_ase`; of 28 DOFs 52 or
-        72 numbers.
+        (N, 6 per 3-DoF joint + 1 per hinge), or (N, 6 per joint) with `as_ase`: 52 or 72 values for
+        28 DOFs.
 
     Raises:
-        ConfigError: no `dof_offsets`, and no shipped humanoid with D degrees of freedom.
+        ConfigError: `dof_offsets` is None, and no shipped humanoid has D degrees of freedom.
     """
     offsets = dof_offsets or _offsets_of_shipped(dof_pos.shape[1])
     return _dof_features(dof_pos.t(), offsets, as_ase).t().contiguous()
@@ -110,7 +101,7 @@ def _offsets_of_shipped(num_dofs: int) -> tuple[int, ...]:
 
 
 def _dof_features(dof_pos: Tensor, dof_offsets: tuple[int, ...], as_ase: bool) -> Tensor:
-    """As `dof_to_obs`, component-major: (D, N) to (features, N)."""
+    """Return `dof_to_obs` with the components first: (D, N) to (features, N)."""
     balls, hinges, order = _dof_obs_layout(dof_offsets, as_ase, dof_pos.device)
     # index_select is several times as fast as indexing with a tensor.
     vectors = dof_pos.index_select(0, balls).unflatten(0, (3, len(balls) // 3))
@@ -119,7 +110,7 @@ def _dof_features(dof_pos: Tensor, dof_offsets: tuple[int, ...], as_ase: bool) -
     if not as_ase:
         return torch.cat((*rotations, angles)).index_select(0, order)
     cos, sin, zero = angles.cos(), angles.sin(), torch.zeros_like(angles)
-    turns = (cos, zero, -sin, sin, zero, cos)  # the x and the z axis, turned about y
+    turns = (cos, zero, -sin, sin, zero, cos)  # x and z axis, turned about y
     return torch.cat((*rotations, *turns)).index_select(0, order)
 
 
@@ -132,26 +123,26 @@ def compute_humanoid_observations(
     as_ase: bool = False,
     dof_offsets: tuple[int, ...] | None = None,
 ) -> Tensor:
-    """Describe the humanoid's state; policy observation and one step of the AMP observation.
+    """Return the policy observation, which is also one step of the AMP observation.
 
-    Vectors are given in the heading frame: world axes turned about z so that the root faces +x.
+    Vectors are in the heading frame: the world axes, turned about z until the root faces +x.
 
     Args:
         root_states: (N, 13) world position (m), rotation xyzw, linear and angular velocity.
         dof_pos: (N, D) rad.
         dof_vel: (N, D) rad/s.
         key_body_pos: (N, K, 3) world positions (m).
-        local_root_obs: take the heading out of the root rotation too.
-        as_ase: joint positions as ASE encodes them; see `dof_to_obs`.
+        local_root_obs: True removes the heading from the root rotation.
+        as_ase: see `dof_to_obs`.
         dof_offsets: see `dof_to_obs`.
 
     Returns:
-        (N, F), see `num_humanoid_obs`; with 28 DOFs F = 13 + 52 (or 72) + D + 3 K: root height,
-        root rotation (tangent, normal), root linear and angular velocity, joint positions, joint
-        velocities, key bodies relative to the root.
+        (N, F), see `num_humanoid_obs`; F = 13 + 52 (or 72) + D + 3 K for 28 DOFs. The order is root
+        height, root rotation (tangent, normal), root linear and angular velocity, joint positions,
+        joint velocities, key bodies relative to the root.
     """
     offsets = dof_offsets or _offsets_of_shipped(dof_pos.shape[1])
-    # One plane of N numbers for each component: operations on them run along memory.
+    # Each component is contiguous, which makes the operations fast.
     root = root_states.t().contiguous()
     cos, sin = heading_cos_sin(*root[3:7].unbind(0))
     root_rot = root[3:7].unbind(0)
@@ -179,8 +170,7 @@ def compute_humanoid_observations(
 
 
 def heading_cos_sin(x: Tensor, y: Tensor, z: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
-    """Return cosine and sine (N,) of the heading of rotations, given by their components (N,)."""
-    # The x axis seen from above gives them without any angle.
+    """Return cosine and sine (N,) of the headings of rotations with components (N,)."""
     forward_x = 2.0 * (w * w + x * x) - 1.0
     forward_y = 2.0 * (x * y + w * z)
     length = torch.sqrt(forward_x * forward_x + forward_y * forward_y)
@@ -190,7 +180,7 @@ def heading_cos_sin(x: Tensor, y: Tensor, z: Tensor, w: Tensor) -> tuple[Tensor,
 
 
 def compute_humanoid_reward(obs_buf: Tensor) -> Tensor:
-    """Return (N,) ones: AMP's task reward is a constant; the style reward is the agent's."""
+    """Return ones (N,): the task reward of AMP is constant."""
     return torch.ones_like(obs_buf[:, 0])
 
 
@@ -201,21 +191,21 @@ def compute_humanoid_falls(
     rigid_body_pos: Tensor,
     termination_height: float | Tensor,
 ) -> Tensor:
-    """Return (N,) bool, which humanoids fell.
+    """Return (N,) bool: the humanoid fell.
 
-    A fall is a body outside `contact_body_ids` that is touched and a (perhaps other) such body
-    whose origin is below `termination_height`, not in the first step of an episode (contact forces
-    may be stale there). IsaacGymEnvs compared signed force components; here, as in ASE, a force
-    in any direction counts.
+    A fall requires a touched body and a body below `termination_height`. They may be different
+    bodies, but none of `contact_body_ids`. The first step of an episode is excluded, because its
+    contact forces may be stale. A force in any direction counts, as in ASE, while IsaacGymEnvs
+    compares signed components.
 
     Args:
-        progress_buf: (N,) int64 control steps since the reset, this one included.
+        progress_buf: (N,) int64 control steps since the reset, including this step.
         contact_buf: (N, B, 3) net contact forces (N).
         contact_body_ids: (C,) bodies that may touch the floor (feet).
         rigid_body_pos: (N, B, 3) world positions of the body origins (m).
-        termination_height: m, one for all bodies or (B,).
+        termination_height: m, one value, or (B,) values.
     """
-    # (B, N): extremes over the bodies run along memory, if the backend keeps planes.
+    # (B, N) is the memory order of the backend.
     force = contact_buf.permute(2, 1, 0).abs().amax(dim=0).index_fill_(0, contact_body_ids, 0.0)
     height = rigid_body_pos[..., 2].t().index_fill(0, contact_body_ids, torch.inf)
     touched = force.amax(dim=0) > _CONTACT_THRESHOLD_N
@@ -235,12 +225,10 @@ def compute_humanoid_reset(
     enable_early_termination: bool,
     termination_height: float | Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Return which episodes end, and which of them by a fall, with IsaacGymEnvs' arguments.
+    """Return which episodes end, and which of them by a fall: reset (N,) and terminated (N,).
 
-    See `compute_humanoid_falls`; of `reset_buf` (N,) only the dtype counts.
-
-    Returns:
-        reset (N,) and terminated (N,), 0 or 1, dtype of `reset_buf`.
+    The arguments are IsaacGymEnvs', see `compute_humanoid_falls`. `reset_buf` (N,) determines only
+    the dtype of the results.
     """
     timed_out = progress_buf >= max_episode_length - 1
     if not enable_early_termination:
@@ -256,14 +244,11 @@ def pd_action_offset_scale(
 ) -> tuple[Tensor, Tensor]:
     """Return offset and scale (D,) of the PD targets `offset + scale * action`, in rad.
 
-    A hinge is centred in its range and reaches 0.7 of it to either side. A 3-DoF joint has offset 0
-    and, as IsaacGymEnvs, scale pi; as ASE, 1.2 times the largest of its limits, pi at most.
+    The targets of a hinge reach 0.7 times its range to either side of the middle. A 3-DoF joint has
+    offset 0. Its scale is pi in IsaacGymEnvs, and in ASE 1.2 times its largest limit, at most pi.
 
-    Args:
-        dof_lower: (D,) limits in rad; swapped where lower > upper.
-        dof_upper: (D,) limits in rad.
-        dof_offsets: first degree of freedom of each joint group, and D.
-        as_ase: ASE's rule.
+    The limits (D,) in rad are swapped where lower > upper. `dof_offsets` is described in
+    `dof_to_obs`.
     """
     low, high = torch.minimum(dof_lower, dof_upper), torch.maximum(dof_lower, dof_upper)
     offset = 0.5 * (low + high)
@@ -280,10 +265,7 @@ def pd_action_offset_scale(
 
 
 def all_body_observation_groups(num_bodies: int) -> dict[str, int]:
-    """Return the parts of an observation in their order: name -> how many numbers.
-
-    They add up to 223 for 15 bodies, 253 for 17.
-    """
+    """Return names and sizes of the observation parts: 223 values for 15 bodies, 253 for 17."""
     poses = {"root_height": 1, "body_pos": 3 * (num_bodies - 1), "body_rot": 6 * num_bodies}
     return poses | {"body_lin_vel": 3 * num_bodies, "body_ang_vel": 3 * num_bodies}
 
@@ -296,22 +278,22 @@ def compute_all_body_observations(
     local_root_obs: bool,
     root_height_obs: bool = True,
 ) -> Tensor:
-    """Describe a character by all its bodies, in the heading frame of its root.
+    """Return the observation of all bodies, in the heading frame of the root.
 
     Args:
         body_pos: (N, B, 3) world positions (m).
         body_rot: (N, B, 4) world rotations, xyzw.
         body_lin_vel: (N, B, 3) in world axes (m/s).
         body_ang_vel: (N, B, 3) in world axes (rad/s).
-        local_root_obs: the root's own rotation keeps its heading. The name means the opposite;
-            ASE's files and checkpoints rely on it.
-        root_height_obs: False gives 0 for the height.
+        local_root_obs: True keeps the heading in the root's own rotation. The name says the
+            opposite, but ASE's files and checkpoints rely on it.
+        root_height_obs: False replaces the root height by 0.
 
     Returns:
         (N, 15 B - 2): root height; positions of the other bodies relative to the root; rotations
         (tangent, normal) of all bodies; linear, then angular velocities of all bodies.
     """
-    # (components, B, N): operations run along memory if the backend keeps planes.
+    # (components, B, N) is the memory order of the backend.
     pos, rot, lin_vel, ang_vel = (
         quantity.permute(2, 1, 0) for quantity in (body_pos, body_rot, body_lin_vel, body_ang_vel)
     )

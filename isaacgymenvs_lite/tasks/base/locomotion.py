@@ -1,14 +1,12 @@
-"""What Ant and Humanoid share: a body with joint torques that learns to run along +x.
+"""Common parts of Ant and Humanoid: a body with joint torques learns to run along +x.
 
-Formulas as IsaacGymEnvs (its torch_jit_utils and tasks), over named quantities of N environments.
-Quirk kept, because policies and curves depend on it: `angle_to_target` uses the height of the
-target in place of its distance to the side, so that it is nearly minus the yaw.
+The formulas are IsaacGymEnvs', including one quirk: `angle_to_target` uses the height of the target
+instead of its lateral distance. Therefore it is nearly the negative yaw.
 """
 
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -29,43 +27,29 @@ from isaacgymenvs_lite.utils.scaling import unscale
 _TARGET_X_M = 1000.0
 _START_POS_NOISE_RAD = 0.2
 _START_VEL_NOISE_RAD_S = 0.1
-# From here on heading and uprightness are rewarded in full.
-_FULL_HEADING = 0.8
-_UPRIGHT = 0.93
+_FULL_HEADING, _UPRIGHT = 0.8, 0.93  # cosines of 37 and 22 degrees
 
 
 @dataclass(frozen=True, kw_only=True)
 class LocomotionConfig(TaskConfig):
-    """Keys of `task.env` that Ant and Humanoid share; their own defaults differ."""
+    """Keys of `task.env` that Ant and Humanoid share."""
 
     episode_length: int = setting(1000, key="episodeLength", minimum=2)
-    """Control steps of an episode."""
     power_scale: float = setting(1.0, key="powerScale", minimum=0)
-    """Factor on the torques."""
     heading_weight: float = setting(0.5, key="headingWeight")
-    """Reward of facing the target."""
     up_weight: float = setting(0.1, key="upWeight")
-    """Reward of an upright torso."""
     actions_cost: float = setting(0.005, key="actionsCost")
-    """Of the squared actions."""
     energy_cost: float = setting(0.05, key="energyCost")
-    """Of action times (observed) speed of the joint."""
     dof_velocity_scale: float = setting(0.2, key="dofVelocityScale")
-    """Factor on joint velocities in the observation."""
     angular_velocity_scale: float = setting(1.0, key="angularVelocityScale")
-    """Factor on the torso's angular velocity in the observation."""
     contact_force_scale: float = setting(0.1, key="contactForceScale")
-    """Factor on forces and torques in the observation."""
     joints_at_limit_cost: float = setting(0.1, key="jointsAtLimitCost")
-    """Of joints at their limits."""
     death_cost: float = setting(-2.0, key="deathCost")
-    """Reward of a step that ends in a fall."""
-    termination_height: float = setting(0.31, key="terminationHeight")
-    """Height of the torso (m) below which it fell."""
+    termination_height: float = setting(0.31, key="terminationHeight")  # m
 
 
 class TorsoState(NamedTuple):
-    """Motion of the torso, (N,) or (3, N) each; velocities in its axes."""
+    """State of the torso, (N,) or (3, N) each, with velocities in torso axes."""
 
     height: Tensor
     lin_vel: Tensor
@@ -78,18 +62,19 @@ class TorsoState(NamedTuple):
 
 
 def compute_torso_state(root_states: Tensor) -> TorsoState:
-    """Return how torsos with `root_states` (N, 13) move and face a target at (1000, 0, 0) m.
+    """Return the torso state of `root_states` (N, 13) relative to the target at (1000, 0, 0) m.
 
-    `yaw` and `roll` are in [0, 2 pi) and `angle_to_target` is not wrapped (rad); `up_proj` is the
-    height of the torso's z axis, `heading_proj` the share of its x axis that points at the target.
+    `yaw` and `roll` are in [0, 2 pi), and `angle_to_target` is not wrapped (rad). `up_proj` is the
+    z component of the torso's z axis. `heading_proj` is the cosine between the torso's x axis and
+    the direction of the target.
     """
     root = root_states.t()
     px, py, height, x, y, z, w = root[:7].unbind()
-    velocities_w = root[7:].unflatten(0, (2, 3)).unbind(1)  # x, y and z of both
+    velocities_w = root[7:].unflatten(0, (2, 3)).unbind(1)  # x, y and z, (2, N) each
     velocities = torch.stack(rotate_components((-x, -y, -z, w), velocities_w), dim=1)
     xx, yy, zz, ww = x * x, y * y, z * z, w * w
     sin_yaw = 2.0 * (x * y + w * z)
-    # As `get_euler_xyz`, which also computes the pitch.
+    # `get_euler_xyz` has the same formulas.
     roll = torch.atan2(2.0 * (w * x + y * z), ww - xx - yy + zz) % math.tau
     yaw = torch.atan2(sin_yaw, ww + xx - yy - zz) % math.tau
     to_x, to_y = _TARGET_X_M - px, -py
@@ -106,44 +91,28 @@ def compute_torso_state(root_states: Tensor) -> TorsoState:
 
 
 def compute_potentials(root_pos: Tensor, dt: float) -> Tensor:
-    """Return (N,) minus the distance over the ground to the target (1000, 0, 0) m, over dt (s).
+    """Return the negative ground distance (N,) to the target (1000, 0, 0) m, divided by dt (s).
 
-    Its increase in a step is the speed towards the target (m/s).
-
-    Args:
-        root_pos: (N, 3) m.
-        dt: s.
+    The increase of the potential in a step is the speed towards the target (m/s).
     """
     return torch.hypot(_TARGET_X_M - root_pos[:, 0], root_pos[:, 1]) / -dt
-
-
-def heading_reward(heading_proj: Tensor, weight: float) -> Tensor:
-    """Return `weight` where the torso faces the target within 37 degrees, less elsewhere, (N,)."""
-    return (weight / _FULL_HEADING * heading_proj).masked_fill(heading_proj > _FULL_HEADING, weight)
-
-
-def up_reward(up_proj: Tensor, weight: float) -> Tensor:
-    """Return `weight` where the torso is upright within 22 degrees, else 0, (N,)."""
-    return (up_proj > _UPRIGHT).float() * weight
 
 
 def running_terms(
     torso: TorsoState, progress_m_s: Tensor, actions: Tensor, alive: float, cfg: LocomotionConfig
 ) -> Terms:
-    """Return the terms (N,) of the reward that Ant and Humanoid have in common.
+    """Return the reward terms (N,) that Ant and Humanoid share.
 
-    Args:
-        torso: see `compute_torso_state`.
-        progress_m_s: (N,) speed towards the target.
-        actions: (N, A).
-        alive: reward of every step.
-        cfg: weights and costs.
+    `progress_m_s` (N,) is the speed towards the target, and `alive` a constant reward of every
+    step.
     """
+    heading = cfg.heading_weight / _FULL_HEADING * torso.heading_proj
+    faces_target = torso.heading_proj > _FULL_HEADING
     return {
         "progress": progress_m_s,
         "alive": torch.full_like(progress_m_s, alive),
-        "heading": heading_reward(torso.heading_proj, cfg.heading_weight),
-        "up": up_reward(torso.up_proj, cfg.up_weight),
+        "heading": heading.masked_fill(faces_target, cfg.heading_weight),
+        "up": (torso.up_proj > _UPRIGHT).float() * cfg.up_weight,
         "actions": actions.square().sum(-1) * -cfg.actions_cost,
     }
 
@@ -152,17 +121,17 @@ class LocomotionTask(MjcfTask):
     """N bodies with torque motors that learn to run along +x."""
 
     foot_names: ClassVar[tuple[str, ...]]
-    """Bodies of the model with the sensors of `measure_wrenches`."""
+    """Bodies whose contact wrenches are observed."""
     torques_nm: ClassVar[tuple[float, ...]]
-    """Of full actions, by joint."""
+    """Torque of a full action, by joint."""
 
     def create_sim(self) -> None:
-        """Make the simulations, and look up the limits of the joints."""
+        """Create the simulations and look up the joint limits."""
         super().create_sim()
         device = self.device
         limits = torch.from_numpy(hinge_limits(self._model, self._layout)).float().to(device)
         self.dof_limits_lower, self.dof_limits_upper = limits.unbind(-1)
-        # A joint starts at zero, or at the limit that is nearest to it.
+        # A joint starts at zero, or at the limit nearest to zero.
         self.initial_dof_pos = limits.clamp(min=0.0)[:, 0] + limits.clamp(max=0.0)[:, 1]
         self.motor_efforts = torch.tensor(self.torques_nm, device=device)
         self.initial_root = torch.zeros(13, device=device)
@@ -170,19 +139,19 @@ class LocomotionTask(MjcfTask):
         self.initial_root[6] = 1.0
 
     def allocate_buffers(self) -> None:
-        """Add the potentials of this step and the one before."""
+        """Add the potentials of this step and of the previous one."""
         super().allocate_buffers()
         self.potentials = torch.zeros(self.num_envs, device=self.device)
         self.prev_potentials = torch.zeros_like(self.potentials)
 
     def torso_groups(self) -> dict[str, int]:
-        """Return the first part of `observation_groups`."""
+        """Return names and sizes of the observation parts that describe the torso."""
         names = ("yaw", "roll", "angle_to_target", "up_proj", "heading_proj")
         torso = {"torso_height": 1, "torso_lin_vel": 3, "torso_ang_vel": 3}
         return torso | dict.fromkeys(names, 1)
 
     def action_scaling(self) -> ActionScaling:
-        """Return the joint torques, Nm."""
+        """Return the mapping from actions to joint torques (Nm)."""
         efforts = self.motor_efforts * self.env_cfg.power_scale
         return ActionScaling("Nm", torch.zeros_like(efforts), efforts)
 
@@ -191,7 +160,7 @@ class LocomotionTask(MjcfTask):
         return actions * self.motor_efforts * self.env_cfg.power_scale
 
     def update_state(self) -> None:
-        """See `compute_potentials`."""
+        """Update the potentials, and discard the cached torso state."""
         self.prev_potentials, self.potentials = self.potentials, self.prev_potentials
         self.potentials.copy_(compute_potentials(self.simulation.root_states[:, :3], self.sim_dt_s))
         self._torso: TorsoState | None = None
@@ -203,27 +172,23 @@ class LocomotionTask(MjcfTask):
         return self._torso
 
     def dof_pos_share(self) -> Tensor:
-        """Return (N, D) joint positions in their ranges, -1 to 1."""
+        """Return joint positions (N, D), scaled from their ranges to [-1, 1]."""
         return unscale(self.simulation.dof_pos, self.dof_limits_lower, self.dof_limits_upper)
 
     def dof_vel_scaled(self) -> Tensor:
-        """Return (N, D) joint velocities as they are observed."""
+        """Return the scaled joint velocities (N, D) of the observation."""
         return self.simulation.dof_vel * self.env_cfg.dof_velocity_scale
 
     def foot_wrenches(self) -> Tensor:
-        """Return (6 K, N) contact forces and torques on the feet, foot by foot, in their frames."""
+        """Return contact forces and torques (6 K, N), foot by foot, in the foot frames."""
         return measure_wrenches(self.simulation, self.foot_names).transpose(0, 1).flatten(0, 1)
 
-    @abstractmethod
-    def compute_reward_terms(self) -> Terms:
-        """Return the terms (N,) of the reward."""
-
     def compute_failures(self) -> Tensor:
-        """Return (N,) bool: the torso is too low."""
+        """Return (N,) bool: the torso is below the termination height."""
         return self.simulation.root_states[:, 2] < self.env_cfg.termination_height
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Upright at the origin and at rest, with the joints near their initial positions."""
+        """Place the body upright and at rest at the origin, with joints near their start."""
         size = (self.num_actions,)
         pos = self.initial_dof_pos + uniform(
             env_ids, -_START_POS_NOISE_RAD, _START_POS_NOISE_RAD, size
@@ -232,7 +197,7 @@ class LocomotionTask(MjcfTask):
         vel = uniform(env_ids, -_START_VEL_NOISE_RAD_S, _START_VEL_NOISE_RAD_S, size)
         root = self.initial_root.repeat(len(env_ids), 1)
         self.simulation.write_state(env_ids, root, pos, vel)
-        # The distance to the target is measured from here: a reset is no progress.
+        # The reset itself must not count as progress.
         self.potentials.index_copy_(0, env_ids, compute_potentials(root[:, :3], self.sim_dt_s))
         self._torso = None
 

@@ -1,4 +1,4 @@
-"""MjcfTask: a task from checked keys and an MJCF file. See `VecTask` for the life of a step."""
+"""MjcfTask: a task from checked settings and an MJCF file. `VecTask` describes a step."""
 
 from __future__ import annotations
 
@@ -21,32 +21,21 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 
 class MjcfTask(VecTask):
-    """N simulations of an MJCF file, with checked keys.
+    """N simulations of an MJCF file, with checked settings.
 
-    A task declares the attributes that follow and fills in the methods of `VecTask`.
-
-    Args:
-        cfg: cfg/task/<Task>.yaml as plain dictionaries.
-        args: the other arguments of `VecTask`.
-        kwargs: likewise, by name.
-
-    Attributes:
-        settings_class: dataclass of the keys of `task.env`.
-        default_asset: the task's MJCF, relative to assets/.
-        published_assets: names of the model in published task files.
-        actor_name: name of the robot in `task.task.randomization_params.actor_params`.
-        num_observations: numbers in an observation.
-        num_actions: numbers in an action.
-        env_cfg: the keys of `task.env`, an object of `settings_class`.
-        sim_cfg: the keys of `task.sim`.
+    `cfg` is cfg/task/<Task>.yaml as plain dictionaries, and `VecTask` describes the other
+    arguments. A task declares the attributes below and implements the methods of `VecTask`.
 
     Raises:
-        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
+        ConfigError: a key or value of `task.env` or `task.sim` is invalid.
     """
 
     settings_class: ClassVar[type[TaskConfig]] = TaskConfig
+    """Dataclass of the keys of `task.env`."""
     default_asset: ClassVar[str]
+    """Path of the task's MJCF, relative to assets/."""
     published_assets: ClassVar[tuple[str, ...]] = ()
+    """Model names in published task files, which mean the task's MJCF."""
     _spec: mujoco.MjSpec | None = None
 
     def __init__(self, cfg: dict[str, Any], *args: Any, **kwargs: Any) -> None:
@@ -64,15 +53,11 @@ class MjcfTask(VecTask):
         super().__init__(cfg, *args, **kwargs)
 
     def read_settings(self, env: dict[str, Any]) -> TaskConfig:
-        """Check `task.env`.
-
-        Raises:
-            ConfigError: an unknown, ill-typed or impossible value.
-        """
+        """Return the checked keys of `task.env`; raise ConfigError for an invalid key or value."""
         return read_section(self.settings_class, env, "task.env", ignored=UNREAD_ENV_KEYS)
 
     def episode_length(self) -> int:
-        """Return the control steps of an episode: by default the setting of this name."""
+        """Return the number of control steps in an episode."""
         return self.env_cfg.episode_length
 
     def build_model(self) -> mujoco.MjModel:
@@ -87,38 +72,38 @@ class MjcfTask(VecTask):
         return compile_model(path, self.default_asset, self.sim_cfg, friction, keep_and_change)
 
     def scene(self) -> mujoco.MjSpec | None:
-        """Return the simulated model as a specification, which can be written as MJCF.
+        """Return the simulated model as a specification that can be written as MJCF.
 
-        Its numbers are the compiled model's: time step, gravity, friction, gains of the actuators.
-        None if the task did not keep it.
+        It contains the time step, gravity, friction and actuator gains of the compiled model. None
+        if the task has no specification.
         """
         if self._spec is None:
             return None
         spec, model = self._spec.copy(), self._model
-        spec.compile()  # `copy_back` compares the model with what the specification compiles to
+        spec.compile()  # `copy_back` requires a compiled specification
         spec.copy_back(model)
-        for actuator in spec.actuators:  # what `copy_back` leaves as it was
+        for actuator in spec.actuators:  # `copy_back` omits these two fields
             actuator.biastype = mujoco.mjtBias(int(model.actuator_biastype[actuator.id]))
             actuator.forcelimited = int(model.actuator_forcelimited[actuator.id])
-        spec.compiler.savecompiled = False  # or MJCF is written with six digits
+        spec.compiler.savecompiled = False  # True would write six digits only
         return spec
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
-        """Change the task's MJCF before it is compiled; nothing by default."""
+        """Change the specification before it is compiled; by default do nothing."""
 
     def set_sizes(self) -> None:
         """Set `num_observations` and `num_actions` if they depend on the model."""
 
     def states_size(self) -> int:
-        """Return how many numbers an asymmetric critic observes, see `compute_states`."""
+        """Return the dimension of the privileged observation, see `compute_states`."""
         return self.num_observations
 
     def simulator_calls(self) -> int:
-        """Return the simulator calls of `sim.dt` in a control step."""
+        """Return the number of simulator calls of `sim.dt` in a control step."""
         return self.env_cfg.control_freq_inv
 
     def create_sim(self) -> None:
-        """Make the N simulations of the model."""
+        """Create the N simulations of the model."""
         self.simulation = make_simulation(
             self._model,
             self.num_envs,

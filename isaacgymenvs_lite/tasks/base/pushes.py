@@ -1,4 +1,4 @@
-"""Pushes: sudden changes of the velocities of bases over the ground."""
+"""Pushes: sudden changes of the velocities of robot bases over the ground."""
 
 from __future__ import annotations
 
@@ -9,29 +9,20 @@ from isaacgymenvs_lite.simulation.backend import SimulationBackend
 
 
 def push_interval(interval_s: float, control_dt_s: float) -> int:
-    """Return the control steps from one push to the next, at least 1.
-
-    Args:
-        interval_s: from one push to the next, s.
-        control_dt_s: time of a control step, s.
-    """
+    """Return the interval between pushes in control steps, at least 1."""
     return max(1, int(interval_s / control_dt_s + 0.5))
 
 
 def set_planar_velocities(simulation: SimulationBackend, velocities_w: Tensor) -> None:
-    """Give all bases other velocities over the ground; everything else stays as it is.
+    """Set the velocities (N, 2) of all bases over the ground, along world x and y (m/s).
 
-    Contact forces are zero until the next step, as after any new state.
-
-    Args:
-        simulation: of N environments.
-        velocities_w: (N, 2) along x and y of the world, m/s.
+    The rest of the state does not change. Contact forces are zero until the next step.
     """
     env_ids = torch.arange(simulation.num_envs, device=simulation.device)
     root = simulation.root_states.clone()
     root[:, 7:9] = velocities_w
     objects = simulation.object_states.clone()
     simulation.write_state(env_ids, root, simulation.dof_pos, simulation.dof_vel)
-    if simulation.object_names:  # a new state puts them back to where they were at first
+    if simulation.object_names:  # `write_state` moved the objects to their initial states
         object_ids = torch.arange(len(simulation.object_names), device=simulation.device)
         simulation.write_object_states(env_ids, object_ids, objects)

@@ -1,4 +1,4 @@
-"""Random numbers as tasks draw them."""
+"""Random values for tasks."""
 
 from __future__ import annotations
 
@@ -7,5 +7,5 @@ from torch import Tensor
 
 
 def uniform(env_ids: Tensor, low: float, high: float, size: tuple[int, ...] = ()) -> Tensor:
-    """Return (n, *size) random numbers in [low, high) for environments (n,)."""
+    """Return uniform random values (n, *size) in [low, high) for environments (n,)."""
     return low + (high - low) * torch.rand(len(env_ids), *size, device=env_ids.device)

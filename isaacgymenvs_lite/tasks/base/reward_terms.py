@@ -1,4 +1,4 @@
-"""Rewards as terms by name, whose sum is the reward."""
+"""Reward terms by name; their sum is the reward."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ Terms = dict[str, Tensor]
 
 
 def replace_where(terms: Terms, where: Tensor, name: str, value: float) -> Terms:
-    """Return the terms, but in environments `where` (N,) bool only one, `name`, of this value."""
+    """Replace all terms by one term `name` of this value where `where` (N,) is True."""
     kept = torch.stack(tuple(terms.values())).masked_fill_(where, 0.0)
     return {**dict(zip(terms, kept, strict=True)), name: where * value}
 
 
 def total(terms: Terms) -> Tensor:
-    """Return the sum (N,) of the terms (N,)."""
+    """Return the sum (N,) of terms (N,)."""
     values = tuple(terms.values())
     return values[0] if len(values) == 1 else torch.stack(values).sum(0)

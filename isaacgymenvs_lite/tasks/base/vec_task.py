@@ -1,39 +1,44 @@
-"""VecTask: the life of N environments that step together, with the contract of IsaacGymEnvs.
+"""VecTask: N environments that step together, with the contract of IsaacGymEnvs.
 
-**Episodes.** `step` returns the last observation of an episode and marks its end in `reset_buf`.
-The next episode starts in the next step, or earlier if somebody calls `reset_done`. In a step it
-starts after the physics, as in IsaacGymEnvs: the action has no effect, and the step returns the
-first observation. Three kinds of tasks differ:
+**A step** has this order:
 
-- `starts_before_physics`: it starts before the physics, and the step belongs to it.
-- AnymalTerrain starts it in the step that ends the episode before.
+1. `step` replaces actions that are not finite by zero, adds action noise, and clamps the actions.
+2. `pre_physics_step` sets the controls that `compute_controls` returns.
+3. `simulation.step` advances the physics.
+4. `post_physics_step` starts new episodes and calls `update_state`, `compute_observations`,
+   `compute_reward` and `compute_reset`.
+5. `step` collects `infos`, adds observation noise, and calls the `listeners`.
+
+A task implements the methods in the section "what a task fills in". `MjcfTask` adds checked
+settings and an MJCF model.
+
+**Episodes.** `step` returns the last observation of an episode and marks the end in `reset_buf`.
+The next step starts the next episode after the physics, as in IsaacGymEnvs. The action of that step
+has no effect, and its observation is the first one of the episode. A call of `reset_done` starts
+the episode earlier. Three kinds of tasks differ:
+
+- A task with `starts_before_physics` starts the episode before the physics of the next step.
+- AnymalTerrain starts the next episode in the step that ends the previous one.
 - A task of IsaacGymEnvs overrides `create_sim`, `pre_physics_step`, `post_physics_step` and
-  `reset_idx`. It starts episodes where it calls `reset_idx`, and `reset` starts none.
+  `reset_idx`. It starts episodes where it calls `reset_idx`, and its `reset` starts none.
 
-**A step** is, in this order: actions made finite, given noise and clamped; `pre_physics_step`
-(`compute_controls`); `simulation.step`; `post_physics_step` (`update_state`,
-`compute_observations`, `compute_reward`, `compute_reset`); `infos`; noise of domain randomisation
-on the observations; `listeners`. A task fills in the methods in the section of that name.
-`MjcfTask` adds checked keys and a model.
+**Tensors.** The first dimension is always N. The backend owns the state tensors of `simulation` and
+changes them in `step` and `write_state`. The task owns the buffers that `VecTask` lists. They are
+on `device`, and each step writes into them in place, except `actions` and `reward_terms`, which it
+replaces. Other code may write 1 into `reset_buf` between two steps. The tensors that `step` and
+`reset_done` return are on `rl_device` and belong to the caller. Every step returns the same `infos`
+dictionary with new tensors. A step waits for the device four times: to find actions that are not
+finite, discarded steps, unexplained ends, and the episodes that start.
 
-**Tensors.** N is always the first dimension. The state tensors of `simulation` belong to the
-backend and change with its `step` and `write_state`. The buffers of the class docstring belong to
-the task: they are on `device`, `allocate_buffers` makes them, and each step writes into them in
-place (`actions` and `reward_terms` are replaced). Others may write 1 into `reset_buf` between two
-steps. What `step` and `reset_done` return is on `rl_device` and belongs to the caller, but `infos`
-is the same dictionary in every step, with other tensors in it. `_start_episodes` alone turns marks
-into indices. A step of this class reads four values on the host: whether all actions are finite,
-whether a row has no outcome, whether an end has no reason, and which episodes start.
-
-What differs from IsaacGymEnvs:
+**Differences from IsaacGymEnvs:**
 
 - `time_outs` marks episodes that end at the time limit or whose simulation diverged. An episode
-  that also *fails* in its last step is no time-out, so that no trainer bootstraps from a fall.
-- A step whose simulation diverged earns nothing and cuts its episode off, without a failure. Its
-  observation is the last good one, of the step before. `infos["diverged"]` marks it, so that agents
-  leave it out of their updates.
-- An action that is not finite is a failure without a reward; the physics gets zero in its place.
-- There is no process-wide simulation: tasks can be made side by side, and `close()` frees one.
+  that fails in its last step is no time-out, because no trainer may bootstrap from a fall.
+- A step whose simulation diverged earns nothing and cuts its episode off without a failure. It
+  repeats the observation of the previous step. `infos["diverged"]` marks the step, and agents leave
+  it out of their updates.
+- An action that is not finite is a failure with reward 0. The physics receives zeros instead.
+- There is no process-wide simulation: several tasks can exist, and `close()` frees one.
 """
 
 from __future__ import annotations
@@ -53,7 +58,7 @@ from isaacgymenvs_lite.rendering.tracks import TaskCamera
 from isaacgymenvs_lite.schema import read_keys
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms, total
 from isaacgymenvs_lite.tasks.base.task_config import EnvConfig, StepConfig
 from isaacgymenvs_lite.tasks.randomization.randomizer import DomainRandomizer
 from isaacgymenvs_lite.utils.state import Stateful
@@ -65,26 +70,23 @@ _PICTURE_SIZE = (640, 480)
 
 
 class Done:
-    """How a step left an episode: the codes of `VecTask.done_buf`.
+    """Codes of `VecTask.done_buf`: how a step left an episode.
 
-    Plain numbers: an operation of torch with an `IntEnum` takes several times as long.
+    They are plain integers, because torch is several times slower with an `IntEnum`.
     """
 
     RUNNING: Final = 0
     TIME_OUT: Final = 1
-    """It reached its time limit and did not fail."""
+    """The episode reached its time limit and did not fail."""
     FAILED: Final = 2
     DIVERGED: Final = 3
-    """Its simulation diverged: the episode was cut off, which says nothing about the policy."""
+    """The simulation diverged and cut the episode off, which is not the policy's fault."""
 
 
 class ActionScaling(NamedTuple):
-    """What an action means to the actuators: their targets are `offset + scale * action`.
+    """Actuator targets `offset + scale * action`, with `offset` and `scale` (A,).
 
-    Attributes:
-        unit: of the targets: `rad` of position drives, `Nm` or `N` of motors.
-        offset: (A,).
-        scale: (A,).
+    The `unit` is `rad` for position drives, `Nm` or `N` for motors.
     """
 
     unit: str
@@ -93,13 +95,7 @@ class ActionScaling(NamedTuple):
 
 
 class RobotState(NamedTuple):
-    """A state of one robot, as `SimulationBackend.write_state` takes it.
-
-    Attributes:
-        root_state: (13,).
-        dof_pos: (D,) rad.
-        dof_vel: (D,) rad/s.
-    """
+    """State of a robot: root (13,), joint positions (D,) in rad and velocities (D,) in rad/s."""
 
     root_state: Tensor
     dof_pos: Tensor
@@ -107,42 +103,26 @@ class RobotState(NamedTuple):
 
 
 class RobotDescription(NamedTuple):
-    """What a program needs to drive the robot of a task, beside the model and `ActionScaling`.
+    """Data that an exported policy needs in addition to the model and `ActionScaling`."""
 
-    Attributes:
-        default: the default pose, at rest.
-        start: a state in which an episode of the training can start.
-        key_bodies: whose positions the observation part `key_body_pos` holds, in order.
-        frames: frame of each observation part: `world`; `heading`, world axes turned about z so
-            that the base faces +x; `base`; `joint`.
-    """
-
-    default: RobotState
-    start: RobotState
-    key_bodies: tuple[str, ...]
+    default: RobotState  # at rest
+    start: RobotState  # start of an episode
+    key_bodies: tuple[str, ...]  # bodies in the observation part `key_body_pos`
     frames: dict[str, str]
+    """Frame of each observation part: `world`, `base`, `joint`, or `heading`, which is the world
+    frame, turned about z until the base faces +x."""
 
 
 class Env(Stateful):
     """Sizes, clip limits, devices and spaces of a task, from its configuration.
 
-    Args:
-        config: the task's configuration as plain dictionaries (cfg/task/<Task>.yaml composed). The
-            task has written `numObservations`, `numActions` (and `numStates`) into its `env`.
-        rl_device: torch device of the tensors that `step` and `reset` return.
-        sim_device: `cpu` or `cuda:<index>`, where the physics runs.
-        graphics_device_id: index of the rendering device, -1 for none.
-        headless: without a window.
-
-    Attributes:
-        num_envs: N.
-        num_observations: numbers in an observation; a task that derives from `MjcfTask` declares
-            it in its class.
-        num_actions: numbers in an action; likewise.
-        num_states: numbers in the observation of an asymmetric critic, 0 for none.
+    `config` is cfg/task/<Task>.yaml as plain dictionaries. Its `env` also holds `numObservations`,
+    `numActions` and, for an asymmetric critic, `numStates`. `step` and `reset` return tensors on
+    `rl_device`. The physics runs on the CPU, whatever `sim_device` is. `graphics_device_id` is -1
+    without a rendering device.
 
     Raises:
-        ConfigError: a missing or impossible size.
+        ConfigError: a size is missing or impossible.
     """
 
     num_observations: int
@@ -193,12 +173,12 @@ class Env(Stateful):
 
     @property
     def observation_space(self) -> gymnasium.Space:
-        """Box of one environment's observation."""
+        """Box of the observation of one environment."""
         return self.obs_space
 
     @property
     def action_space(self) -> gymnasium.Space:
-        """Box of one environment's action; -1..1 except with a train file of Isaac Lab."""
+        """Box of the action of one environment: -1 to 1, except with train files of Isaac Lab."""
         return self.act_space
 
     def get_task_obs_size(self) -> int:
@@ -206,22 +186,19 @@ class Env(Stateful):
         return 0
 
     def observation_groups(self) -> dict[str, int]:
-        """Return the parts of an observation in their order: name -> how many numbers.
-
-        Empty if the task does not define it.
-        """
+        """Return the name and size of each observation part, in order; {}: not defined."""
         return {}
 
     def action_scaling(self) -> ActionScaling | None:
-        """Return what an action means to the actuators; None if that depends on the state."""
+        """Return how actions map to actuator targets; None if the mapping depends on the state."""
         return None
 
     def robot_description(self) -> RobotDescription | None:
-        """Return what it takes to drive the robot elsewhere; None if the task has no robot."""
+        """Return the data that an exported policy needs; None if the task has no robot."""
         return None
 
     def set_train_info(self, env_frames: int, *args: Any, **kwargs: Any) -> None:
-        """Store how many environment steps the trainer has made so far."""
+        """Store the number of environment steps that the trainer has made."""
         self.total_train_env_frames = env_frames
 
     def get_env_state(self) -> Any:
@@ -229,37 +206,37 @@ class Env(Stateful):
         return None
 
     def set_env_state(self, env_state: Any) -> None:
-        """Restore what `get_env_state` returned."""
+        """Restore a state that `get_env_state` returned."""
 
 
 class VecTask(Env):
-    """N environments that step together. See the module docstring and `Env` for the arguments.
+    """N environments that step together; the module docstring describes a step.
+
+    `Env` describes the arguments. The last two are IsaacGymEnvs'.
 
     Attributes:
-        simulation: the backend; its state tensors are what tasks read.
+        simulation: the backend, whose state tensors the task reads.
         obs_buf: (N, numObs) float32.
-        states_buf: (N, numStates) float32, privileged observations of asymmetric critics.
+        states_buf: (N, numStates) float32, privileged observations of an asymmetric critic.
         rew_buf: (N,) float32.
-        reward_terms: (N,) each, whose sum is `rew_buf`.
-        reset_buf: (N,) int64, 1 where an episode ended and the next one has not started, at first
-            everywhere.
-        done_buf: (N,) int64, how the last step left each episode, see `Done`; `reset_done` clears
-            the rows of the episodes that it starts.
+        reward_terms: terms (N,) by name, whose sum is `rew_buf`.
+        reset_buf: (N,) int64, 1 where an episode ended and the next one has not started. All
+            entries are 1 at first.
+        done_buf: (N,) int64, how the last step left each episode, see `Done`. `reset_done` clears
+            the entries of the episodes that it starts.
         timeout_buf: (N,) bool, `infos["time_outs"]` of the last step.
-        diverged_buf: (N,) bool, the simulation diverged in the last step.
+        diverged_buf: (N,) bool, True where the simulation diverged in the last step.
         progress_buf: (N,) int64, control steps of the running episode.
-        actions: (N, numActions) of the last step, clamped.
-        extras: what `step` returns as infos; the same dictionary at every step.
-        listeners: called at every step; see `StepListener`.
+        actions: (N, numActions), the clamped actions of the last step.
+        extras: the infos that `step` returns; the same dictionary at every step.
+        listeners: called at every step, see `StepListener`.
         max_episode_length: control steps; a task must set it.
         sim_dt_s: time of one simulator call, `task.sim.dt` (s).
-        control_dt_s: time that a control step counts (s).
-        dt: as IsaacGymEnvs' task of this name defines it (s): `sim_dt_s`, but `control_dt_s` in
-            AnymalTerrain and the AMP and ASE humanoids. The tasks themselves read one of the other
-            two; the time that a step simulates is `simulation.dt`.
-        is_training: whether an agent learns from the task, which this project's agents set: then a
-            task may end episodes for the sake of learning. A loop of your own may set it.
-        keeps_final_observations: whether AnymalTerrain also observes the ends of episodes; see
+        control_dt_s: nominal time of a control step (s).
+        dt: the attribute of IsaacGymEnvs (s). It equals `control_dt_s` in AnymalTerrain and the AMP
+            and ASE humanoids, otherwise `sim_dt_s`. This project's tasks do not read it.
+        is_training: True while an agent learns from the task, which may then end episodes early.
+        keeps_final_observations: True: AnymalTerrain also observes the ends of episodes, see
             `final_observations`.
     """
 
@@ -269,22 +246,21 @@ class VecTask(Env):
     actor_name: ClassVar[str] = "robot"
     """Name of the robot in `task.task.randomization_params.actor_params`."""
     starts_before_physics: ClassVar[bool] = False
-    """A step starts episodes before its physics; see the module docstring."""
+    """True: a step starts episodes before its physics; see the module docstring."""
     zero_action_at_reset: ClassVar[bool] = False
-    """`starts_before_physics`: an action counts as zero in the step that starts an episode, because
-    it was chosen for the last state of the one before."""
+    """True: the step that starts an episode ignores its action, which was chosen for the last state
+    of the previous episode. It needs `starts_before_physics`."""
     agents_call_reset_done: ClassVar[bool] = False
-    """Agents choose the first action of an episode for its first observation: they call
-    `reset_done` before each step, and `reset_idx` observes. `RLGPUEnv` calls it for the others."""
+    """True: agents call `reset_done` before each step, so that the first action of an episode
+    belongs to its first observation. `reset_idx` observes. `RLGPUEnv` calls it for other agents."""
     is_training: bool = False
     keeps_final_observations: bool = False
     not_stored: ClassVar[tuple[str, ...]] = (
         *("cfg", "sim_params", "listeners", "_camera", "headless", "graphics_device_id"),
         *("force_render", "virtual_screen_capture"),
     )
-    """Attributes that a resumed training makes again; see `Stateful`, which stores the others."""
+    """Attributes that checkpoints omit, see `Stateful`."""
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"]}
-    """What video recorders read."""
 
     def __init__(
         self,
@@ -318,7 +294,7 @@ class VecTask(Env):
     # --- what a task fills in -------------------------------------------------------------
 
     def create_sim(self) -> None:
-        """Set `self.simulation`; buffers do not exist yet."""
+        """Set `self.simulation`; the buffers do not exist yet."""
         raise self._undefined("create_sim")
 
     def compute_controls(self, actions: Tensor) -> Tensor:
@@ -326,7 +302,7 @@ class VecTask(Env):
         raise self._undefined("compute_controls")
 
     def update_state(self) -> None:
-        """Update what the task remembers from step to step, after the physics."""
+        """Update the state that the task keeps between steps, after the physics."""
 
     def compute_obs(self) -> Tensor:
         """Return the observations (N, numObs) of the current state, without noise."""
@@ -337,28 +313,27 @@ class VecTask(Env):
         return self.compute_obs().index_select(0, env_ids)
 
     def compute_states(self, env_ids: Tensor | None, observations: Tensor) -> Tensor:
-        """Return what an asymmetric critic observes (n, numStates), in tasks that have one.
+        """Return the privileged observations (n, numStates) of an asymmetric critic.
 
-        Args:
-            env_ids: (n,) of these environments; None: of all.
-            observations: (n, numObs) of them, without noise; the result by default.
+        `env_ids` (n,) are the environments, and None means all of them. `observations` (n, numObs)
+        have no noise, and the method returns them by default.
         """
         return observations
 
     def add_sensor_noise(self, observations: Tensor) -> Tensor:
-        """Return what the policy observes of observations (n, numObs): by default the same."""
+        """Return observations (n, numObs) with sensor noise; by default without any."""
         return observations
 
     def compute_reward_terms(self) -> Terms:
-        """Return the terms (N,) of the reward, by name."""
+        """Return the reward terms (N,) by name."""
         raise self._undefined("compute_reward_terms")
 
     def compute_failures(self) -> Tensor:
-        """Return (N,) bool: the episode ends by a failure; none by default."""
+        """Return (N,) bool, True where the episode ends by a failure; by default nowhere."""
         return torch.zeros_like(self.timeout_buf)
 
     def compute_time_outs(self) -> Tensor:
-        """Return (N,) bool: the episode is at its time limit, whether it fails or not."""
+        """Return (N,) bool, True where the episode reached its time limit, failed or not."""
         return self.progress_buf >= self.max_episode_length - 1
 
     def reset_state(self, env_ids: Tensor) -> None:
@@ -366,27 +341,27 @@ class VecTask(Env):
         raise self._undefined("reset_state")
 
     def on_key(self, key: str) -> None:
-        """React to a key that was pressed in a viewer, between two steps; nothing by default.
+        """React to a key press in a viewer, between two steps; by default do nothing.
 
-        A key that is held counts once. At most 20 keys a second arrive.
+        A held key counts once. A viewer sends at most 20 keys a second.
 
         Args:
-            key: `up`, `down`, `left`, `right`, `space`, or a lower-case letter or digit; the
-                window keeps `v` and `r` for itself.
+            key: `up`, `down`, `left`, `right`, `space`, a lower-case letter, or a digit. The window
+                uses `v` and `r` itself.
         """
 
     @property
     def key_help(self) -> str:
-        """What the keys of `on_key` do, for users; '': nothing."""
+        """Help text about the keys of `on_key`; '' if the task has no keys."""
         return ""
 
     def infos(self) -> dict[str, Any]:
-        """Return further infos of a step, besides `time_outs`; none by default."""
+        """Return additional infos of a step; by default none."""
         return {}
 
     @property
     def control_dt_s(self) -> float:
-        """Time that a control step counts in s."""
+        """Nominal time of a control step (s)."""
         return self.control_freq_inv * self.sim_dt_s
 
     def _undefined(self, method: str) -> NotImplementedError:
@@ -405,7 +380,7 @@ class VecTask(Env):
         self.timeout_buf = torch.zeros(n, dtype=torch.bool, device=device)
         self.diverged_buf = torch.zeros_like(self.timeout_buf)
         self._bad_actions = torch.zeros_like(self.timeout_buf)
-        # (N,) bool where the last step has no outcome; None: everywhere it has one.
+        # (N,) bool, True where the last step has no valid outcome; None: nowhere.
         self._discarded: Tensor | None = None
         self.progress_buf = torch.zeros(n, dtype=torch.int64, device=device)
         self.randomize_buf = torch.zeros(n, dtype=torch.int64, device=device)
@@ -424,9 +399,9 @@ class VecTask(Env):
             actions: (N, numActions), clamped to +-clipActions.
 
         Returns:
-            observations {"obs": (N, numObs)[, "states": (N, numStates)]}, rewards (N,), dones
-            (N,) int64 and infos, on rl_device. `infos["time_outs"]` and `infos["diverged"]` are
-            (N,) bool.
+            Observations {"obs": (N, numObs)[, "states": (N, numStates)]}, rewards (N,), dones
+            (N,) int64, and infos, all on rl_device. `infos["time_outs"]` and `infos["diverged"]`
+            are (N,) bool.
         """
         with one_torch_thread():
             self._observed_before = dict(self.obs_dict)
@@ -443,8 +418,11 @@ class VecTask(Env):
             self.control_steps += 1
             if self._discarded is not None:
                 self._end_discarded(self._discarded)
-            if bool((self.reset_buf > self.done_buf).any()):
-                self._explain_ends()
+            is_unexplained = self.reset_buf > self.done_buf
+            if bool(is_unexplained.any()):  # a task of IsaacGymEnvs writes only `reset_buf`
+                timed_out = self.compute_time_outs() & ~self.compute_failures()
+                codes = timed_out.long().masked_fill_(~timed_out, Done.FAILED)
+                self.done_buf.copy_(torch.where(is_unexplained, codes, self.done_buf))
             torch.eq(self.done_buf, Done.TIME_OUT, out=self.timeout_buf)
             if self._discarded is not None:
                 self.timeout_buf |= self.diverged_buf
@@ -461,7 +439,7 @@ class VecTask(Env):
             return self._observations(), self._for_trainer(self.rew_buf), dones, self.extras
 
     def pre_physics_step(self, actions: Tensor) -> None:
-        """Set the controls of clamped actions (N, numActions)."""
+        """Set the controls for clamped actions (N, numActions)."""
         self.actions = actions
         if self.starts_before_physics:
             if self.zero_action_at_reset:
@@ -470,7 +448,7 @@ class VecTask(Env):
         self.simulation.set_controls(self.compute_controls(self.actions))
 
     def post_physics_step(self) -> None:
-        """Count the step; observe, reward, and mark the episodes that end."""
+        """Count the step, then compute observations, rewards and ends of episodes."""
         self.extras.clear()
         self.progress_buf += 1
         self.randomize_buf += 1
@@ -482,11 +460,7 @@ class VecTask(Env):
         self.compute_reset()
 
     def compute_observations(self, env_ids: Tensor | None = None) -> None:
-        """Write observations into `obs_buf`.
-
-        Args:
-            env_ids: (n,) of environments that start an episode; None: of all.
-        """
+        """Write observations into `obs_buf`; `env_ids` (n,) start an episode, None means all."""
         if env_ids is None:
             observations = self.compute_obs()
             if self.num_states > 0:
@@ -505,8 +479,7 @@ class VecTask(Env):
         if (discarded := self._discarded) is not None:
             terms = {name: term.masked_fill(discarded, 0.0) for name, term in terms.items()}
         self.reward_terms = terms
-        first, *others = terms.values()
-        self.rew_buf.copy_(torch.stack((first, *others)).sum(0) if others else first)
+        self.rew_buf.copy_(total(terms))
 
     def compute_reset(self) -> None:
         """Write which episodes end, and how."""
@@ -516,36 +489,26 @@ class VecTask(Env):
             self._write_discarded_codes()
         torch.sign(self.done_buf, out=self.reset_buf)
 
-    def _explain_ends(self) -> None:
-        """Complete `done_buf` where a task wrote `reset_buf` alone, as those of IsaacGymEnvs do."""
-        timed_out = self.compute_time_outs() & ~self.compute_failures()
-        codes = timed_out.long().masked_fill_(~timed_out, Done.FAILED)
-        is_unexplained = self.reset_buf > self.done_buf
-        self.done_buf.copy_(torch.where(is_unexplained, codes, self.done_buf))
-
-    # --- steps without an outcome -----------------------------------------------------------
+    # --- discarded steps: actions that are not finite, diverged simulations -----------------
 
     def _finite_actions(self, actions: Tensor) -> Tensor:
         """Return actions (N, A) with zeros in rows that are not finite; write `_bad_actions`."""
         self._bad_actions.zero_()
-        # One sum is cheap; it may also overflow.
+        # The sum is cheap. It may overflow, therefore the rows are checked next.
         if bool(actions.sum().isfinite()):
             return actions
         torch.logical_not(actions.isfinite().all(dim=-1), out=self._bad_actions)
         if not self._warned_of_actions and bool(self._bad_actions.any()):
             self._warned_of_actions = True
             log.warning(
-                "an action of environment %d is not finite: its episode ends as a failure, without"
-                " a reward; check the policy (this is reported once)",
+                "the action of environment %d is not finite, so its episode ends as a failure with"
+                " reward 0; check the policy (reported once)",
                 int(self._bad_actions.nonzero()[0]),
             )
         return actions.masked_fill(self._bad_actions.unsqueeze(-1), 0.0)
 
     def _end_discarded(self, discarded: Tensor) -> None:
-        """End the episodes of `discarded` (N,) without a reward, also in a task of IsaacGymEnvs.
-
-        Warn of diverged simulations: at the first one and at every power of ten.
-        """
+        """End the episodes of discarded steps (N,) with reward 0; warn of diverged simulations."""
         self.rew_buf.masked_fill_(discarded, 0.0)
         self.reset_buf.masked_fill_(discarded & (self.done_buf == Done.RUNNING), 1)
         self._write_discarded_codes()
@@ -559,7 +522,7 @@ class VecTask(Env):
         self.done_buf.masked_fill_(self.diverged_buf, Done.DIVERGED)
 
     def _repeat_observations(self, observations: dict[str, Tensor]) -> None:
-        """Write the observations of the step before, in place, where an episode was cut off."""
+        """Write the observations of the previous step, in place, where a simulation diverged."""
         cut_off = self.diverged_buf & (self.reset_buf != 0)
         for name, before in self._observed_before.items():
             rows = observations[name]
@@ -569,9 +532,9 @@ class VecTask(Env):
     # --- resets -----------------------------------------------------------------------------
 
     def reset(self) -> dict[str, Tensor]:
-        """Start a new episode in every environment and return its first observations.
+        """Start a new episode in every environment and return the first observations.
 
-        A task of IsaacGymEnvs returns the current observations, zero at first.
+        A task of IsaacGymEnvs returns its current observations, which are zero at first.
         """
         if self._resets_itself:
             return self._observations()
@@ -579,11 +542,7 @@ class VecTask(Env):
         return self.reset_done()[0]
 
     def reset_done(self) -> tuple[dict[str, Tensor], Tensor]:
-        """Start new episodes where `reset_buf` is 1, and observe them.
-
-        Returns:
-            observations as `step`, and the ids of the environments that were reset (n,).
-        """
+        """Start new episodes where `reset_buf` is 1; return observations and these env ids (n,)."""
         with one_torch_thread():
             env_ids = self._start_episodes()
             self.done_buf.index_fill_(0, env_ids, Done.RUNNING)
@@ -594,11 +553,11 @@ class VecTask(Env):
 
     @property
     def _resets_itself(self) -> bool:
-        """Whether the task has a `reset_idx` in place of `reset_state`, as in IsaacGymEnvs."""
+        """Whether the task defines `reset_idx` instead of `reset_state`, as in IsaacGymEnvs."""
         return type(self).reset_state is VecTask.reset_state
 
     def _start_episodes(self) -> Tensor:
-        """Start new episodes where `reset_buf` is 1; return these environments (n,)."""
+        """Start new episodes where `reset_buf` is 1; return the ids (n,) of these environments."""
         env_ids = self.reset_buf.nonzero().flatten()
         if len(env_ids) > 0:
             self.reset_idx(env_ids)
@@ -618,15 +577,15 @@ class VecTask(Env):
     def final_observations(self) -> dict[str, Tensor]:
         """Return the last observations of the episodes that the last step ended.
 
-        To be called before `reset_done`. Rows of other environments have no meaning. AnymalTerrain
-        has them only while `keeps_final_observations` is set.
+        Call it before `reset_done`. Only the rows of ended episodes are valid. AnymalTerrain needs
+        `keeps_final_observations`.
         """
         return self._observations()
 
     # --- for trainers and viewers -----------------------------------------------------------
 
     def zero_actions(self) -> Tensor:
-        """Return (N, numActions) zeros on rl_device."""
+        """Return zeros (N, numActions) on rl_device."""
         return torch.zeros(self.num_envs, self.num_actions, device=self.rl_device)
 
     def get_state(self) -> Tensor:
@@ -637,12 +596,12 @@ class VecTask(Env):
         """Render the current state in all viewers, and return a picture of it.
 
         Args:
-            mode: `rgb_array` returns a picture (480, 640, 3) of environment 0, drawn without a
-                display; with a window only if the task was made with `virtual_screen_capture`.
-                `human` returns None.
+            mode: `rgb_array` returns a picture (480, 640, 3) of environment 0, which needs no
+                display. A task with a window must be made with `virtual_screen_capture`. `human`
+                returns None.
 
         Raises:
-            ConfigError: another mode.
+            ConfigError: the mode is unknown.
             RenderingError: this machine cannot draw.
         """
         modes = self.metadata["render_modes"]
@@ -656,7 +615,7 @@ class VecTask(Env):
 
     @property
     def is_watched(self) -> bool:
-        """Whether a window or a page is open, for which a play goes on after its last episode."""
+        """Whether a window or page is open, which keeps playing after the last episode."""
         return any(getattr(listener, "keeps_playing", False) for listener in self.listeners)
 
     def close(self) -> None:

@@ -1,12 +1,12 @@
-"""What Anymal and AnymalTerrain share: a legged robot whose base follows commanded velocities.
+"""Common parts of Anymal and AnymalTerrain: a legged robot follows commanded velocities.
 
-Formulas as IsaacGymEnvs, over named quantities whose last dimension is N: (3, N), (D, N).
+The formulas are IsaacGymEnvs'. Tensors have N as the last dimension: (3, N), (D, N).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import mujoco
@@ -24,113 +24,80 @@ from isaacgymenvs_lite.tasks.base.vec_task import ActionScaling
 from isaacgymenvs_lite.utils.rotations import rotate_components
 
 _TRACKING_VARIANCE = 0.25  # (m/s)^2 and (rad/s)^2
-_START_POS_FACTORS = (0.5, 1.5)  # of the default joint angles
+_START_POS_FACTORS = (0.5, 1.5)  # on the default joint angles
 _START_VEL_RAD_S = 0.1
-# Forces below this are no contact (N).
 CONTACT_THRESHOLD_N = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class InitStateConfig:
-    """`task.env.baseInitState`: the base at the start of an episode, in world axes."""
+    """`task.env.baseInitState`: state of the base at the start of an episode, in world axes."""
 
-    pos: tuple[float, ...] = setting((0.0, 0.0, 0.62), length=3)
-    """m."""
-    rot: tuple[float, ...] = setting((0.0, 0.0, 0.0, 1.0), length=4)
-    """xyzw."""
-    lin_vel: tuple[float, ...] = setting((0.0, 0.0, 0.0), key="vLinear", length=3)
-    """m/s."""
-    ang_vel: tuple[float, ...] = setting((0.0, 0.0, 0.0), key="vAngular", length=3)
-    """rad/s."""
+    pos: tuple[float, ...] = setting((0.0, 0.0, 0.62), length=3)  # m
+    rot: tuple[float, ...] = setting((0.0, 0.0, 0.0, 1.0), length=4)  # xyzw
+    lin_vel: tuple[float, ...] = setting((0.0, 0.0, 0.0), key="vLinear", length=3)  # m/s
+    ang_vel: tuple[float, ...] = setting((0.0, 0.0, 0.0), key="vAngular", length=3)  # rad/s
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControlConfig:
-    """`task.env.control`: actions are joint positions, in a PD controller."""
+    """`task.env.control`: the PD controller, whose targets are joint positions."""
 
-    stiffness: float = setting(85.0, minimum=0)
-    """Nm/rad."""
-    damping: float = setting(2.0, minimum=0)
-    """Nm s/rad."""
-    action_scale: float = setting(0.5, key="actionScale")
-    """How far a full action moves a joint from its default angle (rad)."""
+    stiffness: float = setting(85.0, minimum=0)  # Nm/rad
+    damping: float = setting(2.0, minimum=0)  # Nm s/rad
+    action_scale: float = setting(0.5, key="actionScale")  # rad of a full action
 
 
 @dataclass(frozen=True, kw_only=True)
 class LearnConfig:
-    """`task.env.learn`: rewards per second, and factors on observations."""
+    """`task.env.learn`: reward weights per second, and scales of observations."""
 
     lin_vel_xy_reward: float = setting(1.0, key="linearVelocityXYRewardScale")
-    """Of following the commanded velocity."""
     ang_vel_z_reward: float = setting(0.5, key="angularVelocityZRewardScale")
-    """Of following the commanded yaw rate."""
     torque_reward: float = setting(-0.000025, key="torqueRewardScale")
-    """Of the squared torques (Nm)."""
     lin_vel_scale: float = setting(2.0, key="linearVelocityScale")
-    """Factor on linear velocities."""
     ang_vel_scale: float = setting(0.25, key="angularVelocityScale")
-    """Factor on angular velocities."""
     dof_pos_scale: float = setting(1.0, key="dofPositionScale")
-    """Factor on joint positions."""
     dof_vel_scale: float = setting(0.05, key="dofVelocityScale")
-    """Factor on joint velocities."""
     episode_length_s: float = setting(50.0, key="episodeLength_s", above=0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CommandRangesConfig:
-    """`task.env.randomCommandVelocityRanges`: lowest and highest."""
+    """`task.env.randomCommandVelocityRanges`: lowest and highest command."""
 
-    linear_x: tuple[float, ...] = setting((-2.0, 2.0), length=2)
-    """m/s."""
-    linear_y: tuple[float, ...] = setting((-1.0, 1.0), length=2)
-    """m/s."""
-    yaw: tuple[float, ...] = setting((-1.0, 1.0), length=2)
-    """rad/s, or rad where a heading is commanded."""
-
-    def limits(self) -> list[list[float]]:
-        """Return the three ranges (3, 2)."""
-        return [list(limits[:2]) for limits in (self.linear_x, self.linear_y, self.yaw)]
+    linear_x: tuple[float, ...] = setting((-2.0, 2.0), length=2)  # m/s
+    linear_y: tuple[float, ...] = setting((-1.0, 1.0), length=2)  # m/s
+    yaw: tuple[float, ...] = setting((-1.0, 1.0), length=2)  # rad/s
 
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfAssetConfig:
     """`task.env.urdfAsset`."""
 
-    file: str = setting("")
-    """MJCF, absolute or relative to the project's assets/; '' = the task's own."""
+    file: str = setting("")  # MJCF; '' = the task's own
     knee_name: str = setting("THIGH", key="kneeName")
-    """What the names of the bodies contain that should not touch anything."""
     foot_name: str = setting("SHANK", key="footName")
-    """What the names of the bodies contain that carry the feet."""
-    collapse_fixed_joints: bool = setting(True, key="collapseFixedJoints")
-    """No effect: the models have no fixed joints."""
+    collapse_fixed_joints: bool = setting(True, key="collapseFixedJoints")  # no effect
     fix_base_link: bool = setting(False, key="fixBaseLink", choices=(False,))
-    drive_mode: int = setting(4, key="defaultDofDriveMode")
-    """No effect, as in IsaacGymEnvs."""
+    drive_mode: int = setting(4, key="defaultDofDriveMode")  # no effect
 
 
 @dataclass(frozen=True, kw_only=True)
 class VelocityTrackingConfig(TaskConfig):
-    """Keys of `task.env` that the two tasks share; `control` and `learn` are their own."""
+    """Keys of `task.env` that Anymal and AnymalTerrain share."""
 
-    init_state: InitStateConfig = field(
-        default_factory=InitStateConfig, metadata={"key": "baseInitState"}
+    init_state: InitStateConfig = setting(InitStateConfig(), key="baseInitState")
+    command_ranges: CommandRangesConfig = setting(
+        CommandRangesConfig(), key="randomCommandVelocityRanges"
     )
-    command_ranges: CommandRangesConfig = field(
-        default_factory=CommandRangesConfig, metadata={"key": "randomCommandVelocityRanges"}
-    )
-    default_joint_angles: dict[str, Any] = setting(key="defaultJointAngles")
-    """rad by joint, of a standing robot."""
-    urdf_asset: UrdfAssetConfig = field(
-        default_factory=UrdfAssetConfig, metadata={"key": "urdfAsset"}
-    )
-    viewer: dict[str, Any] = setting({})
-    """No effect: where the camera of Isaac Gym's viewer starts."""
+    default_joint_angles: dict[str, Any] = setting(key="defaultJointAngles")  # rad
+    urdf_asset: UrdfAssetConfig = setting(UrdfAssetConfig(), key="urdfAsset")
+    viewer: dict[str, Any] = setting({})  # no effect
 
 
 class BaseMotion(NamedTuple):
-    """Velocities of bases and gravity, (3, N) each, in base axes (m/s, rad/s, unit vector)."""
+    """Linear velocity, angular velocity and unit vector of gravity in base axes, (3, N) each."""
 
     lin_vel: Tensor
     ang_vel: Tensor
@@ -138,10 +105,10 @@ class BaseMotion(NamedTuple):
 
 
 def compute_base_motion(root_states: Tensor) -> BaseMotion:
-    """Return velocities and gravity in the frames of bases with `root_states` (N, 13)."""
+    """Return velocities and gravity in the base frames of `root_states` (N, 13)."""
     planes = root_states.t()
     x, y, z, w = planes[3:7].unbind()
-    # Both velocities at once: (2, N) for each axis.
+    # (2, N) for each axis, linear and angular
     velocities = planes[7:13].reshape(2, 3, -1).unbind(1)
     lin_vel, ang_vel = torch.stack(rotate_components((-x, -y, -z, w), velocities)).unbind(1)
     down = (w * y - x * z, -(y * z + w * x), x * x + y * y - 0.5)
@@ -151,37 +118,35 @@ def compute_base_motion(root_states: Tensor) -> BaseMotion:
 def compute_tracking_rewards(commands: Tensor, motion: BaseMotion) -> tuple[Tensor, Tensor]:
     """Return rewards (N,) in (0, 1] for tracking the commanded velocity and yaw rate.
 
-    Args:
-        commands: (3 or more, N) velocity along x and y of the base (m/s), yaw rate (rad/s).
-        motion: see `compute_base_motion`.
+    `commands` (3 or more, N) are velocities along x and y of the base (m/s), and the yaw rate
+    (rad/s).
     """
     return tracking_kernels(commands[:2] - motion.lin_vel[:2], commands[2] - motion.ang_vel[2])
 
 
 def tracking_kernels(lin_vel_errors: Tensor, yaw_errors: Tensor) -> tuple[Tensor, Tensor]:
-    """Return exp(-error^2 / 0.25) (N,) of velocities (2, N) in m/s and yaw rates (N,) in rad/s."""
+    """Return exp(-error^2 / 0.25) (N,) of velocity errors (2, N) and yaw rate errors (N,)."""
     squares = torch.stack((lin_vel_errors.square().sum(0), yaw_errors.square()))
     along, turning = squares.div_(-_TRACKING_VARIANCE).exp_().unbind()
     return along, turning
 
 
 def clip_negative_total(terms: Terms) -> Terms:
-    """Return the terms (N,) and one more, `clamp`, that lifts a negative sum to zero."""
+    """Add the term `clamp`, which raises a negative sum of the terms (N,) to zero."""
     return {**terms, "clamp": total(terms).neg().clamp(min=0.0)}
 
 
 def joint_angles(named: Mapping[str, Any], joint_names: Sequence[str]) -> Tensor:
-    """Return the angles (D,) of `task.env.defaultJointAngles` (rad), in the order of the joints.
+    """Return `task.env.defaultJointAngles` (D,) in rad, in the order of the joints.
 
     Raises:
-        ConfigError: a joint has no angle, or an angle has no joint.
+        ConfigError: a joint has no angle, an angle has no joint, or an angle is no number.
     """
-    unknown = sorted(set(named) - set(joint_names))
-    missing = [name for name in joint_names if name not in named]
-    if unknown or missing:
-        wrong = f"no joint is called {unknown[0]}" if unknown else f"{missing[0]} is missing"
+    wrong = sorted(set(named) ^ set(joint_names), key=str)
+    if wrong:
+        problem = "unknown joint" if wrong[0] in named else "missing joint"
         raise ConfigError(
-            f"task.env.defaultJointAngles: {wrong}; expected one angle for each of"
+            f"task.env.defaultJointAngles: {problem} {wrong[0]}; expected one angle for each of"
             f" {', '.join(joint_names)}"
         )
     try:
@@ -193,14 +158,10 @@ def joint_angles(named: Mapping[str, Any], joint_names: Sequence[str]) -> Tensor
 def proprioception(
     motion: BaseMotion, commands: Tensor, dof_pos: Tensor, dof_vel: Tensor, cfg: LearnConfig
 ) -> tuple[Tensor, ...]:
-    """Return the robot's own motion and commands, (3 to D, N) each, times the scales.
+    """Return scaled base motion, commands, joint positions and joint velocities, (3 to D, N) each.
 
-    Args:
-        motion: of the base, in its frame.
-        commands: (3 or more, N) m/s and rad/s.
-        dof_pos: (D, N) rad.
-        dof_vel: (D, N) rad/s.
-        cfg: the scales.
+    `commands` (3 or more, N) are in m/s and rad/s, `dof_pos` (D, N) in rad, `dof_vel` (D, N) in
+    rad/s.
     """
     return (
         motion.lin_vel * cfg.lin_vel_scale,
@@ -219,17 +180,15 @@ class VelocityTrackingTask(MjcfTask):
     Attributes:
         default_dof_pos: (D,) rad.
         commands: (N, num_commands) velocity along x and y of the base (m/s), yaw rate (rad/s), and
-            what else a task commands.
+            the task's other commands.
     """
 
     num_commands: ClassVar[int] = 3
 
     def build_model(self) -> mujoco.MjModel:
-        """Return the compiled model, of the file that `task.env.urdfAsset` names."""
+        """Return the compiled model of the file in `task.env.urdfAsset`."""
         if self.env_cfg.asset != AssetConfig():
-            raise ConfigError(
-                "task.env.asset: this task reads its file from task.env.urdfAsset.file"
-            )
+            raise ConfigError("task.env.asset: use task.env.urdfAsset.file in this task")
         asset = AssetConfig(asset_file_name=self.env_cfg.urdf_asset.file)
         path = asset_path(
             asset, self.default_asset, self.published_assets, key="task.env.urdfAsset.file"
@@ -239,66 +198,62 @@ class VelocityTrackingTask(MjcfTask):
         )
 
     def _friction(self) -> float:
-        """Return the coefficient of sliding friction between ground and robot."""
         return self.env_cfg.plane.dynamic_friction
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
-        """Give the drives the gains of the configuration."""
+        """Set the drive gains of the configuration."""
         control = self.env_cfg.control
         for actuator in spec.actuators:
             actuator.set_to_position(kp=control.stiffness, kv=control.damping)
 
     def create_sim(self) -> None:
-        """Make the simulations, and look up bodies, joints and ranges of commands."""
+        """Create the simulations and look up bodies, joints and command ranges."""
         super().create_sim()
         device, cfg = self.device, self.env_cfg
         angles = joint_angles(cfg.default_joint_angles, self.simulation.dof_names)
         self.default_dof_pos = angles.to(device)
-        state = cfg.init_state
-        self._start_root = torch.tensor(
-            [*state.pos[:3], *state.rot[:4], *state.lin_vel[:3], *state.ang_vel[:3]], device=device
-        )
-        self._ranges = torch.tensor(cfg.command_ranges.limits(), device=device)
-        asset = cfg.urdf_asset
-        self._knee_ids = self._bodies_called(asset.knee_name, "kneeName")
-        self._foot_ids = self._bodies_called(asset.foot_name, "footName")
+        self._start_root = torch.cat([torch.tensor(part) for part in astuple(cfg.init_state)])
+        self._start_root = self._start_root.to(device)
+        self._ranges = torch.tensor(astuple(cfg.command_ranges), device=device)
+        self._knee_ids = self._bodies_called(cfg.urdf_asset.knee_name, "kneeName")
+        self._foot_ids = self._bodies_called(cfg.urdf_asset.foot_name, "footName")
 
     def _bodies_called(self, part: str, key: str) -> Tensor:
         names = self.simulation.body_names
         found = [place for place, name in enumerate(names) if part in name]
         if not found:
             raise ConfigError(
-                f"task.env.urdfAsset.{key}='{part}': no body is called so; bodies:"
+                f"task.env.urdfAsset.{key}='{part}': no body name contains it; bodies:"
                 f" {', '.join(names)}"
             )
         return torch.tensor(found, device=self.device)
 
     def allocate_buffers(self) -> None:
-        """Add the commands, and the torques of the last step."""
+        """Add the commands and the joint torques of the last step."""
         super().allocate_buffers()
         self._command_planes = torch.zeros(self.num_commands, self.num_envs, device=self.device)
         self.commands = self._command_planes.t()
         self._motion: BaseMotion | None = None
-        # The backend measures them from the first time that they are read.
+        # The first read makes the backend measure the torques.
         self._torques = self.simulation.dof_forces.t()
 
     def proprioception_groups(self) -> dict[str, int]:
-        """Return the parts of `proprioception`, for `observation_groups`."""
+        """Return names and sizes of the parts of `proprioception`."""
         num_dofs = self._layout.num_dofs
         motion = dict.fromkeys(("base_lin_vel", "base_ang_vel", "gravity", "commands"), 3)
         return motion | {"dof_pos": num_dofs, "dof_vel": num_dofs}
 
     def action_scaling(self) -> ActionScaling:
-        """Return the joint positions that the drives aim at, rad."""
+        """Return the mapping from actions to joint position targets (rad)."""
         scale = torch.full_like(self.default_dof_pos, self.env_cfg.control.action_scale)
         return ActionScaling("rad", self.default_dof_pos, scale)
 
     def compute_controls(self, actions: Tensor) -> Tensor:
-        """Return the joint positions (N, D) that the drives aim at (rad)."""
+        """Return the joint position targets (N, D) in rad."""
         return actions * self.env_cfg.control.action_scale + self.default_dof_pos
 
     def in_contact(self, body_ids: Tensor) -> Tensor:
-        """Return (K, N) bool: the force on bodies (K,) is above `CONTACT_THRESHOLD_N`."""
+        """Return (K, N) bool: the force on bodies (K,) exceeds `CONTACT_THRESHOLD_N`."""
         forces = self.simulation.contact_forces.permute(2, 1, 0).index_select(1, body_ids)
         return forces.square().sum(0) > CONTACT_THRESHOLD_N * CONTACT_THRESHOLD_N
 
@@ -309,17 +264,17 @@ class VelocityTrackingTask(MjcfTask):
         return self._motion
 
     def update_state(self) -> None:
-        """Store the joints' torques (D, N); drop the motion of the bases before this step."""
+        """Store the joint torques (D, N), and discard the cached base motion."""
         self._torques = self.simulation.dof_forces.t()
         self._motion = None
 
     def draw_commands(self, env_ids: Tensor) -> Tensor:
-        """Return (3, n) velocities along x and y and `yaw`, each in its range."""
+        """Return random commands (3, n): velocities along x and y, and `yaw`."""
         low, high = self._ranges[:, :1], self._ranges[:, 1:]
         return low + (high - low) * torch.rand(3, len(env_ids), device=self.device)
 
     def draw_start_joints(self, env_ids: Tensor) -> tuple[Tensor, Tensor]:
-        """Return positions (rad) and velocities (rad/s) (n, D) of joints at the start."""
+        """Return joint positions (rad) and velocities (rad/s), (n, D) each, for new episodes."""
         size = (len(self.default_dof_pos),)
         pos = self.default_dof_pos * uniform(env_ids, *_START_POS_FACTORS, size)
         return pos, uniform(env_ids, -_START_VEL_RAD_S, _START_VEL_RAD_S, size)

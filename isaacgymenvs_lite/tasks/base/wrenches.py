@@ -1,4 +1,4 @@
-"""Contact forces and torques on bodies, from what sensors of a model measure."""
+"""Contact forces and torques on bodies, from contact sensors of the model."""
 
 from __future__ import annotations
 
@@ -10,24 +10,16 @@ from torch import Tensor
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.utils.rotations import cross_components
 
-# Numbers of a body: force, torque and point of its contact sensor; position and three axes.
+# A contact sensor measures a force, a torque and a point. A frame is a position and three axes.
 _CONTACT_SIZE, _FRAME_SIZE = 9, 12
 _FRAME_SENSORS = ("position", "xaxis", "yaxis", "zaxis")
 
 
 def measure_wrenches(simulation: SimulationBackend, bodies: Sequence[str]) -> Tensor:
-    """Return (6, K, N) contact force and torque on K bodies; see `body_wrenches`.
+    """Return the contact forces and torques (6, K, N) on K bodies; see `body_wrenches`.
 
-    The frames are those in which the forces were measured, at the start of the last physics step,
-    so that the kinematics of the whole body are not needed.
-
-    Args:
-        simulation: its model has sensors `wrench_<body>` for all of them, and behind these
-            `position_`, `xaxis_`, `yaxis_` and `zaxis_<body>` body by body.
-        bodies: their names.
-
-    Raises:
-        ConfigError: the model has no such sensor.
+    The model needs the sensors `wrench_<body>`, `position_<body>`, `xaxis_<body>`, `yaxis_<body>`
+    and `zaxis_<body>` of every body. The sensors measure at the start of the last physics step.
     """
     contacts = [f"wrench_{body}" for body in bodies]
     frames = [f"{what}_{body}" for body in bodies for what in _FRAME_SENSORS]
@@ -40,15 +32,13 @@ def measure_wrenches(simulation: SimulationBackend, bodies: Sequence[str]) -> Te
 
 
 def body_wrenches(contacts: Tensor, body_pos: Tensor, body_axes: Tensor) -> Tensor:
-    """Return (6, K, N) contact force and torque on K bodies, about and in the frames of the bodies.
-
-    The numbers of a body are contiguous in memory, as in observations.
+    """Return forces and torques (6, K, N) on K bodies, about their origins and in their frames.
 
     Args:
-        contacts: (9, K, N) what `contact` sensors measure, in world axes: the force that the body
-            exerts, its torque about a point, and that point.
+        contacts: (9, K, N) values of the contact sensors in world axes: the force that the body
+            exerts, its torque about a point, and this point.
         body_pos: (3, K, N) m.
-        body_axes: (3, 3, K, N) the x, y and z axis of each body in world axes.
+        body_axes: (3, 3, K, N) x, y and z axis of each body in world axes.
     """
     forces = -contacts[:3]
     levers = contacts[6:] - body_pos
@@ -56,18 +46,16 @@ def body_wrenches(contacts: Tensor, body_pos: Tensor, body_axes: Tensor) -> Tens
     along = body_axes.transpose(0, 1)
     wrenches = contacts.new_empty(contacts.shape[1], 6, contacts.shape[2]).transpose(0, 1)
     for part, vectors in ((wrenches[:3], forces), (wrenches[3:], torques)):
-        # The components in the body's frame are the products with its axes.
+        # The components in the body frame are the products with the body axes.
         torch.mul(along[0], vectors[0], out=part)
         part.addcmul_(along[1], vectors[1]).addcmul_(along[2], vectors[2])
     return wrenches
 
 
 def torques_about(wrench: Tensor, points: Tensor) -> Tensor:
-    """Return (3, P, N) torques about P points of the force and torque (6, N) on a body.
+    """Return the torques (3, P, N) about P points, of one force and torque (6, N) on a body.
 
-    Args:
-        wrench: (6, N) N and Nm, about the origin of the frame in which the points are.
-        points: (P, 3) m.
+    The points (P, 3) m are in the frame of `wrench`, which is in N and Nm about the frame's origin.
     """
     force, torque = wrench[:3, None], wrench[3:, None]
     levers = cross_components(points.t()[..., None].unbind(), force.unbind())

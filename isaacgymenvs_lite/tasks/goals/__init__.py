@@ -1,4 +1,4 @@
-"""What characters are rewarded for besides style; `task.env.goal` names ASE's goals."""
+"""Goals: tasks that are rewarded in addition to the style; `task.env.goal` names ASE's goals."""
 
 from __future__ import annotations
 
@@ -19,5 +19,5 @@ GOAL_NAMES = tuple(GOALS)
 
 
 def goal_keys() -> frozenset[str]:
-    """Return the keys of `task.env` that some goal reads."""
+    """Return the keys of `task.env` that any goal reads."""
     return frozenset[str]().union(*(goal.keys() for goal in GOALS.values()))

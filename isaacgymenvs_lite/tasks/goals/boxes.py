@@ -8,10 +8,9 @@ import mujoco
 
 from isaacgymenvs_lite.simulation.model_layout import CONTACT_SENSOR_PREFIX
 
-# 1/s, of linear and angular velocities, as the originals' PhysX settings.
-_DAMPING = 0.01
+_DAMPING = 0.01  # 1/s
 _RGBA = (0.72, 0.36, 0.30, 1.0)
-_FRICTION = (1.0, 0.05, 0.05)  # as the characters'
+_FRICTION = (1.0, 0.05, 0.05)
 _NET_FORCE = 3  # `reduce` of a contact sensor
 
 
@@ -22,14 +21,9 @@ def add_box(
     density: float,
     position_m: tuple[float, float, float],
 ) -> None:
-    """Add a box that moves freely, with a sensor for the net contact force on it.
+    """Add a free box with a sensor of its net contact force, before the model is compiled.
 
-    Args:
-        spec: the model, before it is compiled.
-        name: of its body.
-        size_m: its edges.
-        density: kg/m^3.
-        position_m: of its centre in the model's own pose.
+    The edges `size_m` and the centre `position_m` are in m, `density` is in kg/m^3.
     """
     body = spec.worldbody.add_body(name=name, pos=position_m)
     body.add_freejoint(name=name)
@@ -52,7 +46,7 @@ def add_box(
 
 
 def damp_objects(model: mujoco.MjModel, names: Iterable[str]) -> None:
-    """Let the free bodies `names` of a compiled model lose their velocities slowly."""
+    """Damp linear and angular velocities of the free bodies `names` of a compiled model."""
     for name in names:
         body = model.body(name)
         first = int(body.dofadr[0])

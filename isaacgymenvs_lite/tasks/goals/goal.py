@@ -1,4 +1,4 @@
-"""The interface between a character that imitates and its goals."""
+"""The interface between a character that imitates clips and its goals."""
 
 from __future__ import annotations
 
@@ -23,40 +23,39 @@ class GoalSettings:
     """Keys of `task.env` that every goal reads."""
 
     enable_task_obs: bool = setting(True, key="enableTaskObs")
-    """Add the goal to the observation."""
 
 
 class Goal(Stateful):
-    """The goal `none`, and what the others have in common. One object serves N environments.
+    """The goal `none`, and the base class of the other goals. One object serves N environments.
 
-    Life: made from `task.env`; `add_to_model` before the model is compiled; `attach` when the
-    simulation exists; then `reset` at the start of episodes and, in every control step,
-    `before_step`, the physics, `after_step`, `observe` and `reward`. A goal of one's own overrides
-    those that it needs; docs/own_task.md has an example.
+    The task calls `add_to_model` before the model is compiled, and `attach` when the simulation
+    exists. It calls `reset` at the start of episodes. In every control step it calls `before_step`,
+    then the physics, `after_step`, `observe` and `reward`. docs/own_task.md shows how to write a
+    goal.
 
     Args:
-        env: `task.env`; a key that is null means the goal's default.
+        env: `task.env`; null means the default of a key.
 
     Attributes:
         settings: the goal's keys, an object of `settings_class`.
-        num_task_obs: numbers that the observation of the task ends with, 0 without `enableTaskObs`.
-        simulation: the backend, from `attach` on; its tensors are what goals read.
-        dt_s: time of a control step (s).
-        prev_root_pos_w: (N, 3) m, of the characters before the last control step.
+        num_task_obs: dimension of the goal's observation, 0 without `enableTaskObs`.
+        simulation: the backend, from `attach` on.
+        dt_s: duration of a control step (s).
+        prev_root_pos_w: (N, 3) m, positions of the characters before the last control step.
 
     Raises:
-        ConfigError: a value that cannot be used.
+        ConfigError: a value is invalid.
     """
 
     not_stored = ("simulation",)
     num_obs: ClassVar[int] = 0
-    """Numbers in the goal's observation."""
+    """Dimension of the goal's observation."""
     obs_name: ClassVar[str] = "goal"
-    """Name of this part of the observation; `command`: m/s forward, m/s left, rad/s left."""
+    """Name of this observation part. `command` means (m/s forward, m/s left, rad/s left)."""
     key_help: ClassVar[str] = ""
-    """What the keys of `on_key` do, for users; '': nothing."""
+    """Help text about the keys of `on_key`; '' if the goal has no keys."""
     look_ahead_s: ClassVar[tuple[float, ...]] = ()
-    """Times (s) after the start in a clip that `start_in_clip` is given."""
+    """Times (s) after the start in a clip whose root states `start_in_clip` receives."""
     settings_class: ClassVar[type[GoalSettings]] = GoalSettings
 
     def __init__(self, env: Mapping[str, Any]) -> None:
@@ -70,14 +69,10 @@ class Goal(Stateful):
         return keys_of(cls.settings_class)
 
     def add_to_model(self, spec: mujoco.MjSpec) -> None:
-        """Add the objects that the goal needs to the model of the character."""
+        """Add the goal's objects to the model of the character."""
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """Allocate what N environments need.
-
-        Args:
-            simulation: what is simulated.
-            dt_s: time of a control step in s.
+        """Allocate buffers for N environments; `dt_s` is the duration of a control step.
 
         Raises:
             ConfigError: the character lacks a body that the goal names.
@@ -90,58 +85,44 @@ class Goal(Stateful):
         """Draw goals for new episodes of `env_ids` (n,), after their characters were reset."""
 
     def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
-        """Change new goals of `env_ids` (n,) that start in a clip, after `reset`.
+        """Adapt new goals of `env_ids` (n,) to the clips that they start in, after `reset`.
 
-        Args:
-            env_ids: (n,).
-            root_states: (n, T, 13) of the clips, `look_ahead_s` after the start.
+        `root_states` (n, T, 13) belong to the clips, `look_ahead_s` after the start.
         """
 
     def observe_clip(self, root_states: Tensor) -> Tensor | None:
-        """Return the observation (n, num_obs) of a goal that clips reach; None: there is none.
+        """Return the observations (n, num_obs) of goals that clips reach; None: there are none.
 
-        Args:
-            root_states: (n, T, 13) of the clips, `look_ahead_s` after a moment.
+        `root_states` (n, T, 13) belong to the clips, `look_ahead_s` after the observed time.
         """
         return None
 
     def before_step(self, progress: Tensor) -> None:
-        """Store the state before a control step.
-
-        Args:
-            progress: (N,) control steps of the episodes so far.
-        """
+        """Prepare a control step; the episodes have lasted `progress` (N,) control steps."""
         self.prev_root_pos_w.copy_(self.simulation.root_states[:, :3])
 
     def after_step(self) -> None:
-        """Update what the goal remembers from step to step, after the physics."""
+        """Update the state that the goal keeps between steps, after the physics."""
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
         """Return the goal's observation (n, num_obs) of `env_ids` (n,) or all environments."""
         raise NotImplementedError(f"{type(self).__name__} has nothing to observe")
 
     def reward(self) -> Tensor | Terms:
-        """Return (N,) rewards of the last step, or their terms (N,) by name.
-
-        Constant 1 without a goal.
-        """
+        """Return rewards (N,) of the last step, or their terms (N,) by name; by default 1."""
         return torch.ones(self.simulation.num_envs, device=self.simulation.device)
 
     def errors(self) -> dict[str, Tensor]:
-        """Return how far the last step was from the goal: name with unit -> (N,); {} by default.
-
-        Evaluations report the means over all steps of the episodes.
-        """
+        """Return errors (N,) of the last step by name with unit; evaluations report their means."""
         return {}
 
     def on_key(self, key: str) -> None:
-        """React to a key that was pressed in a viewer, see `VecTask.on_key`."""
+        """React to a key press in a viewer, see `VecTask.on_key`."""
 
     def failures(self, contact_body_ids: Tensor) -> Tensor | None:
-        """Return (N,) bool, where the goal was missed for good; None if it cannot be missed.
+        """Return (N,) bool: the goal is out of reach; None: it always stays in reach.
 
-        Args:
-            contact_body_ids: (C,) bodies that may touch something.
+        `contact_body_ids` (C,) are the bodies that may touch something.
         """
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
@@ -149,31 +130,28 @@ class Goal(Stateful):
         return ()
 
     def ground_arrow(self, env_id: int, direction: Tensor, colour: Colour) -> Arrow:
-        """Return an arrow at the feet of the character, along `direction` (2,), unit."""
+        """Return an arrow at the feet of the character, along the unit vector `direction` (2,)."""
         x, y = self.simulation.root_states[env_id, :2].tolist()
         dx, dy = direction.tolist()
         return arrow_on_ground((x, y), (dx, dy), colour)
 
     def rows(self, values: Tensor, env_ids: Tensor | None) -> Tensor:
-        """Return the rows (n, ...) of values (N, ...) that belong to `env_ids` (n,), None: all."""
+        """Return the rows (n, ...) of values (N, ...) for `env_ids` (n,); None: all rows."""
         return values if env_ids is None else values.index_select(0, env_ids)
 
     def root_states(self, env_ids: Tensor | None = None) -> Tensor:
-        """Return (n, 13) world position, rotation xyzw, linear and angular velocity."""
+        """Return root states (n, 13): world position, rotation xyzw, both velocities."""
         return self.rows(self.simulation.root_states, env_ids)
 
 
 class TimedGoal(Goal):
-    """A goal that changes after a random number of control steps.
-
-    It lasts from `change_steps_min` to below `change_steps_max` control steps, two of its settings.
-    """
+    """A goal that changes after `change_steps_min` to `change_steps_max` - 1 control steps."""
 
     change_steps_keys: ClassVar[tuple[str, str]] = ("tarChangeStepsMin", "tarChangeStepsMax")
-    """Their names in `task.env`."""
+    """Names of these two settings in `task.env`."""
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """As the base; timers start at 0, so that the first use draws."""
+        """Run the base method; zero timers make the first use draw a goal."""
         low_key, high_key = self.change_steps_keys
         low, high = self.settings.change_steps_min, self.settings.change_steps_max
         check_range(low_key, low, high_key, high, equal=False)
@@ -183,11 +161,11 @@ class TimedGoal(Goal):
         )
 
     def reset(self, env_ids: Tensor) -> None:
-        """Draw goals, and when they change."""
+        """Draw goals and the times of their changes."""
         self._redraw(env_ids, torch.zeros_like(env_ids))
 
     def before_step(self, progress: Tensor) -> None:
-        """As the base, and draw a new goal where the time of the last one is over."""
+        """Run the base method, and draw a new goal where the old one has expired."""
         super().before_step(progress)
         over = (progress >= self.change_steps).nonzero().flatten()
         if len(over) > 0:
@@ -207,11 +185,7 @@ class TimedGoal(Goal):
 
 
 def check_range(low_key: str, low: float, high_key: str, high: float, *, equal: bool) -> None:
-    """Check that a range of `task.env` is not empty.
-
-    Raises:
-        ConfigError: it is empty.
-    """
+    """Raise ConfigError if a range of `task.env` is empty; `equal` allows low = high."""
     if low > high or (low == high and not equal):
         expected = "at most" if equal else "less than"
         raise ConfigError(

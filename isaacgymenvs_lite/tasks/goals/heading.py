@@ -1,4 +1,4 @@
-"""Heading: walk in a direction at a speed, and face a direction, as ASE's HumanoidHeading."""
+"""Heading: walk in a direction at a speed, and face a direction, as in ASE's HumanoidHeading."""
 
 from __future__ import annotations
 
@@ -27,16 +27,10 @@ _DIRECTION_WEIGHT, _FACING_WEIGHT = 0.7, 0.3
 def compute_heading_observations(
     root_states: Tensor, tar_dir: Tensor, tar_speed: Tensor, tar_face_dir: Tensor
 ) -> Tensor:
-    """Describe the goal in the heading frame of the root.
+    """Return the goal (n, 5) in the heading frame of the root: direction, speed, facing direction.
 
-    Args:
-        root_states: (n, 13) world position, rotation xyzw, velocities.
-        tar_dir: (n, 2) unit, where to go, in world axes.
-        tar_speed: (n,) m/s.
-        tar_face_dir: (n, 2) unit, where to face, in world axes.
-
-    Returns:
-        (n, 5): direction, speed, facing direction.
+    `root_states` (n, 13) and the unit directions (n, 2) are in world axes, `tar_speed` (n,) is in
+    m/s.
     """
     root_rot = root_states[:, 3:7]
     return torch.cat(
@@ -58,20 +52,12 @@ def compute_heading_reward(
     tar_face_dir: Tensor,
     dt: float,
 ) -> Tensor:
-    """Reward the target velocity and facing.
+    """Return the reward (n,) in [0, 1] of target velocity and facing.
 
-    Args:
-        root_pos: (n, 3) m, after the control step.
-        prev_root_pos: (n, 3) m, before it.
-        root_rot: (n, 4) xyzw, after it.
-        tar_dir: (n, 2) unit, where to go.
-        tar_speed: (n,) m/s.
-        tar_face_dir: (n, 2) unit, where to face.
-        dt: time of the control step in s.
-
-    Returns:
-        (n,) in [0, 1]. As in ASE the error aside is the sum of the components of the velocity
-        across the direction, where its length was probably meant.
+    The lateral error is the sum of the components of the lateral velocity, as in ASE, which
+    probably meant its length. Positions (n, 3) before and after the control step are in m, and
+    `root_rot` (n, 4) is xyzw. `tar_speed` (n,) is in m/s, directions are unit vectors (n, 2), and
+    `dt` is in s.
     """
     velocity = planar_velocity(root_pos, prev_root_pos, dt)
     along = (tar_dir * velocity).sum(-1)
@@ -85,16 +71,11 @@ def compute_heading_reward(
 class HeadingSettings(GoalSettings):
     """Keys of `task.env` for the goal `heading`."""
 
-    tar_speed_min: float = setting(1.5, key="tarSpeedMin", minimum=0)
-    """m/s; the target speed is drawn between this and `tarSpeedMax`."""
-    tar_speed_max: float = setting(1.6, key="tarSpeedMax", minimum=0)
-    """m/s."""
+    tar_speed_min: float = setting(1.5, key="tarSpeedMin", minimum=0)  # m/s
+    tar_speed_max: float = setting(1.6, key="tarSpeedMax", minimum=0)  # m/s
     change_steps_min: int = setting(100, key="headingChangeStepsMin", minimum=1)
-    """Control steps after which the goal changes, at the earliest."""
     change_steps_max: int = setting(200, key="headingChangeStepsMax", minimum=2)
-    """The goal changes before so many control steps."""
     enable_rand_heading: bool = setting(True, key="enableRandHeading")
-    """Draw direction and facing independently; False: along +x."""
 
 
 class Heading(TimedGoal):
@@ -106,7 +87,7 @@ class Heading(TimedGoal):
     settings: HeadingSettings
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """As the base; before goals are drawn, all are to walk and face along +x at 1 m/s."""
+        """Run the base method; the initial goals are to walk and face along +x at 1 m/s."""
         cfg = self.settings
         check_range("tarSpeedMin", cfg.tar_speed_min, "tarSpeedMax", cfg.tar_speed_max, equal=True)
         super().attach(simulation, dt_s)
@@ -126,13 +107,13 @@ class Heading(TimedGoal):
         self.tar_speed.index_copy_(0, env_ids, speed)
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
-        """Return (n, 5); see `compute_heading_observations`."""
+        """See `compute_heading_observations`."""
         goal = (self.tar_dir, self.tar_speed, self.tar_face_dir)
         rows = (self.rows(values, env_ids) for values in goal)
         return compute_heading_observations(self.root_states(env_ids), *rows)
 
     def reward(self) -> Tensor:
-        """Return (N,); see `compute_heading_reward`."""
+        """See `compute_heading_reward`."""
         root = self.root_states()
         return compute_heading_reward(
             root[:, :3],
@@ -145,7 +126,7 @@ class Heading(TimedGoal):
         )
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
-        """Return an arrow where to go and one where to face."""
+        """Return arrows of the walking and the facing direction."""
         return (
             self.ground_arrow(env_id, self.tar_dir[env_id], GO_COLOUR),
             self.ground_arrow(env_id, self.tar_face_dir[env_id], FACE_COLOUR),

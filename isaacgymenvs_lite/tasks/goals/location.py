@@ -1,4 +1,4 @@
-"""Location: walk to a point on the ground, as ASE's HumanoidLocation."""
+"""Location: walk to a point on the ground, as in ASE's HumanoidLocation."""
 
 from __future__ import annotations
 
@@ -23,16 +23,13 @@ from isaacgymenvs_lite.utils.rotations import normalize
 
 _POSITION_SCALE, _SPEED_SCALE = 0.5, 4.0
 _POSITION_WEIGHT, _SPEED_WEIGHT, _FACING_WEIGHT = 0.5, 0.4, 0.1
-# Squared distance (m^2) at which the point counts as reached.
-_NEAR_M2 = 0.5
+_NEAR_M2 = 0.5  # squared distance of a reached point
 
 
 def compute_location_observations(root_states: Tensor, tar_pos: Tensor) -> Tensor:
-    """Return (n, 2) m, where the points `tar_pos` (n, 2) are, in the heading frame of the root.
+    """Return the offsets (n, 2) m of points `tar_pos` (n, 2) from the root, in its heading frame.
 
-    Args:
-        root_states: (n, 13) world position, rotation xyzw, velocities.
-        tar_pos: (n, 2) m, world.
+    `root_states` (n, 13) and `tar_pos` are in world axes.
     """
     return xy_in_heading_frame(root_states[:, 3:7], tar_pos - root_states[:, :2])
 
@@ -45,18 +42,10 @@ def compute_location_reward(
     tar_speed: float,
     dt: float,
 ) -> Tensor:
-    """Reward nearness, approach and facing.
+    """Return the reward (n,) in [0, 1] of nearness, approach and facing.
 
-    Args:
-        root_pos: (n, 3) m, after the control step.
-        prev_root_pos: (n, 3) m, before it.
-        root_rot: (n, 4) xyzw, after it.
-        tar_pos: (n, 2) m, world.
-        tar_speed: wanted speed of approach in m/s.
-        dt: time of the control step in s.
-
-    Returns:
-        (n,) in [0, 1].
+    Positions (n, 3) before and after the control step and `tar_pos` (n, 2) are in m, world.
+    `root_rot` (n, 4) is xyzw, `tar_speed` is in m/s, and `dt` is in s.
     """
     offset = tar_pos - root_pos[:, :2]
     distance2 = offset.square().sum(-1)
@@ -73,14 +62,10 @@ def compute_location_reward(
 class LocationSettings(GoalSettings):
     """Keys of `task.env` for the goal `location`."""
 
-    tar_speed: float = setting(1.0, key="tarSpeed", minimum=0)
-    """Target speed of approach in m/s."""
+    tar_speed: float = setting(1.0, key="tarSpeed", minimum=0)  # m/s
     change_steps_min: int = setting(100, key="tarChangeStepsMin", minimum=1)
-    """Control steps after which the goal changes, at the earliest."""
     change_steps_max: int = setting(200, key="tarChangeStepsMax", minimum=2)
-    """The goal changes before so many control steps."""
-    tar_dist_max: float = setting(10.0, key="tarDistMax", above=0)
-    """m; points are drawn in a square about the character, so far from it along x and y."""
+    tar_dist_max: float = setting(10.0, key="tarDistMax", above=0)  # m
 
 
 class Location(TimedGoal):
@@ -91,7 +76,7 @@ class Location(TimedGoal):
     settings: LocationSettings
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """As the base; before goals are drawn they are the origin."""
+        """Run the base method; the initial goals are the origin."""
         super().attach(simulation, dt_s)
         self.tar_pos = torch.zeros(simulation.num_envs, 2, device=simulation.device)
 
@@ -102,12 +87,12 @@ class Location(TimedGoal):
         self.tar_pos.index_copy_(0, env_ids, self.root_states(env_ids)[:, :2] + offset)
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
-        """Return (n, 2); see `compute_location_observations`."""
+        """See `compute_location_observations`."""
         goal = self.rows(self.tar_pos, env_ids)
         return compute_location_observations(self.root_states(env_ids), goal)
 
     def reward(self) -> Tensor:
-        """Return (N,); see `compute_location_reward`."""
+        """See `compute_location_reward`."""
         root = self.root_states()
         return compute_location_reward(
             root[:, :3],
@@ -119,7 +104,7 @@ class Location(TimedGoal):
         )
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
-        """Return the point, and an arrow to it, for it may lie outside of the picture."""
+        """Return the point and an arrow towards it; the point may be outside the picture."""
         x, y = self.tar_pos[env_id].tolist()
         direction = normalize(self.tar_pos[env_id] - self.root_states()[env_id, :2], eps=1e-12)
         point = Sphere((x, y, 0.0), math.sqrt(_NEAR_M2), GO_COLOUR)

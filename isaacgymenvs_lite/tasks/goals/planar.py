@@ -1,4 +1,4 @@
-"""Headings, directions and speeds in the plane, for goals on the ground."""
+"""Headings, directions and speeds in the ground plane."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ from isaacgymenvs_lite.utils.rotations import rotate_about_z
 
 
 def facing(root_rot: Tensor) -> Tensor:
-    """Return the unit vectors (n, 2) in the plane along which roots of rotation (n, 4) face."""
+    """Return the facing directions (n, 2), unit vectors in the plane, of root rotations (n, 4)."""
     return torch.stack(heading_cos_sin(*root_rot.unbind(-1)), dim=-1)
 
 
 def in_heading_frame(root_rot: Tensor, vectors_w: Tensor) -> Tensor:
-    """Turn world vectors (n, 3) about z so that roots of rotation (n, 4) face +x."""
+    """Rotate world vectors (n, 3) about z into the heading frames of root rotations (n, 4)."""
     cos, sin = heading_cos_sin(*root_rot.unbind(-1))
     return rotate_about_z(cos, -sin, vectors_w)
 
 
 def xy_in_heading_frame(root_rot: Tensor, vectors_w: Tensor) -> Tensor:
-    """As `in_heading_frame`, of vectors (n, 2) in the plane."""
+    """Rotate plane vectors (n, 2) into the heading frames of root rotations (n, 4)."""
     cos, sin = heading_cos_sin(*root_rot.unbind(-1))
     return turned(cos, -sin, vectors_w)
 
 
 def turned(cos: Tensor | float, sin: Tensor | float, vectors: Tensor) -> Tensor:
-    """Turn vectors (n, 2) to the left by angles, given as their cosines and sines (n,)."""
+    """Rotate vectors (n, 2) to the left by angles with these cosines and sines (n,)."""
     x, y = vectors.unbind(-1)
     return torch.stack((cos * x - sin * y, cos * y + sin * x), dim=-1)
 
 
 def facing_reward(root_rot: Tensor, direction: Tensor) -> Tensor:
-    """Return (n,) the cosine between facing and unit directions (n, 2), 0 if negative."""
+    """Return the cosines (n,) between facing and unit directions (n, 2), at least 0."""
     return (direction * facing(root_rot)).sum(-1).clamp(min=0.0)
 
 
@@ -43,6 +43,6 @@ def planar_velocity(root_pos: Tensor, prev_root_pos: Tensor, dt_s: float) -> Ten
 
 
 def speed_reward(speed: Tensor, wanted: float, scale: float) -> Tensor:
-    """Return (n,) exp(-scale shortfall^2) of speeds (n,) m/s, 0 where they are not positive."""
+    """Return exp(-scale * shortfall^2) (n,) of speeds (n,) m/s, and 0 for speeds <= 0."""
     shortfall = (wanted - speed).clamp(min=0.0)
     return torch.exp(-scale * shortfall.square()).masked_fill(speed <= 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Reach: touch a point in space with a body, as ASE's HumanoidReach."""
+"""Reach: touch a point in space with a body, as in ASE's HumanoidReach."""
 
 from __future__ import annotations
 
@@ -16,22 +16,19 @@ from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, TimedGoal, check_ra
 from isaacgymenvs_lite.tasks.goals.planar import in_heading_frame
 
 _DISTANCE_SCALE = 4.0
-# The body to reach with by default: the first of these that the character has.
-_BODIES = ("sword", "right_hand")
+_BODIES = ("sword", "right_hand")  # the default is the first that exists
 
 
 def compute_reach_observations(root_states: Tensor, tar_pos: Tensor) -> Tensor:
-    """Return (n, 3) m, points `tar_pos` (n, 3) turned into the heading frame of the root.
+    """Return points `tar_pos` (n, 3) m, rotated into the heading frame of `root_states` (n, 13).
 
-    Args:
-        root_states: (n, 13) world position, rotation xyzw, velocities.
-        tar_pos: (n, 3) m; ASE gives world points, without taking the root's place off them.
+    ASE passes world points without subtracting the root position.
     """
     return in_heading_frame(root_states[:, 3:7], tar_pos)
 
 
 def compute_reach_reward(reach_body_pos: Tensor, tar_pos: Tensor) -> Tensor:
-    """Return (n,) in [0, 1], by the distance of bodies (n, 3) m from points (n, 3) m."""
+    """Return the reward (n,) in [0, 1] of the distance between bodies and points, (n, 3) m each."""
     return torch.exp(-_DISTANCE_SCALE * (tar_pos - reach_body_pos).square().sum(-1))
 
 
@@ -39,24 +36,14 @@ def compute_reach_reward(reach_body_pos: Tensor, tar_pos: Tensor) -> Tensor:
 class ReachSettings(GoalSettings):
     """Keys of `task.env` for the goal `reach`."""
 
-    tar_speed: float = setting(1.0, key="tarSpeed", minimum=0)
-    """No effect; ASE's files have it."""
+    tar_speed: float = setting(1.0, key="tarSpeed", minimum=0)  # no effect
     change_steps_min: int = setting(50, key="tarChangeStepsMin", minimum=1)
-    """Control steps after which the goal changes, at the earliest."""
     change_steps_max: int = setting(100, key="tarChangeStepsMax", minimum=2)
-    """The goal changes before so many control steps."""
-    tar_dist_max: float = setting(1.0, key="tarDistMax", above=0)
-    """m; points are drawn so far from the environment's origin along x and y."""
-    tar_height_min: float = setting(0.2, key="tarHeightMin")
-    """m."""
-    tar_height_max: float = setting(2.0, key="tarHeightMax")
-    """m."""
+    tar_dist_max: float = setting(1.0, key="tarDistMax", above=0)  # m
+    tar_height_min: float = setting(0.2, key="tarHeightMin")  # m
+    tar_height_max: float = setting(2.0, key="tarHeightMax")  # m
     reach_body_name: str = setting("", key="reachBodyName")
-    """The body whose origin is to reach it; '': the sword (the tip of its blade), or the right
-    hand of a character that has none."""
     reach_obs_relative: bool = setting(False, key="reachObsRelative")
-    """This project's: observe the point relative to the root in the plane. ASE observes it in the
-    world, so that a character away from the origin does not observe where the point is."""
 
 
 class Reach(TimedGoal):
@@ -67,7 +54,7 @@ class Reach(TimedGoal):
     settings: ReachSettings
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """As the base; before goals are drawn they are the origin."""
+        """Run the base method and look up the body; the initial goals are the origin."""
         cfg = self.settings
         check_range(
             "tarHeightMin", cfg.tar_height_min, "tarHeightMax", cfg.tar_height_max, equal=True
@@ -81,24 +68,24 @@ class Reach(TimedGoal):
         self.tar_pos = torch.zeros(simulation.num_envs, 3, device=simulation.device)
 
     def draw(self, env_ids: Tensor) -> None:
-        """Draw points about the origins of `env_ids` (n,)."""
+        """Draw points near the origins of `env_ids` (n,)."""
         cfg = self.settings
         plane = uniform(env_ids, -cfg.tar_dist_max, cfg.tar_dist_max, (2,))
         height = uniform(env_ids, cfg.tar_height_min, cfg.tar_height_max, (1,))
         self.tar_pos.index_copy_(0, env_ids, torch.cat((plane, height), dim=-1))
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
-        """Return (n, 3); see `compute_reach_observations`."""
+        """See `compute_reach_observations`."""
         root, point = self.root_states(env_ids), self.rows(self.tar_pos, env_ids)
         if self.settings.reach_obs_relative:
             point = torch.cat((point[:, :2] - root[:, :2], point[:, 2:]), dim=-1)
         return compute_reach_observations(root, point)
 
     def reward(self) -> Tensor:
-        """Return (N,); see `compute_reach_reward`."""
+        """See `compute_reach_reward`."""
         return compute_reach_reward(self.simulation.body_pos[:, self._body], self.tar_pos)
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
-        """Return the point."""
+        """Return a sphere at the point."""
         x, y, z = self.tar_pos[env_id].tolist()
         return (Sphere((x, y, z), 0.08, GO_COLOUR),)

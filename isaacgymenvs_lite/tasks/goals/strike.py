@@ -1,4 +1,4 @@
-"""Strike: knock a standing box over, as ASE's HumanoidStrike."""
+"""Strike: knock a standing box over, as in ASE's HumanoidStrike."""
 
 from __future__ import annotations
 
@@ -36,21 +36,15 @@ _STRIKE_BODIES = ("sword", "right_hand", "right_lower_arm")
 
 _SPEED_SCALE, _SPEED_M_S = 4.0, 1.0
 _TILT_WEIGHT, _SPEED_WEIGHT = 0.6, 0.4
-# Cosine of the tilt below which the box counts as knocked over.
-_FALLEN_COS = 0.2
+_FALLEN_COS = 0.2  # cosine of the tilt of a fallen box
 _CONTACT_THRESHOLD_N = 1.0
 
 
 def compute_strike_observations(root_states: Tensor, tar_states: Tensor) -> Tensor:
-    """Describe the box in the heading frame of the root.
+    """Return the box with states (n, 13) in the heading frame of the root (n, 13).
 
-    Args:
-        root_states: (n, 13) world position, rotation xyzw, linear and angular velocity.
-        tar_states: (n, 13) of the box.
-
-    Returns:
-        (n, 15): position (its height above the ground, not above the root), rotation (tangent,
-        normal), linear and angular velocity.
+    The observation (n, 15) has position (the height is above the ground), rotation (tangent,
+    normal), linear and angular velocity.
     """
     root_rot = root_states[:, 3:7]
     plane = tar_states[:, :2] - root_states[:, :2]
@@ -70,17 +64,9 @@ def compute_strike_observations(root_states: Tensor, tar_states: Tensor) -> Tens
 def compute_strike_reward(
     tar_pos: Tensor, tar_rot: Tensor, root_pos: Tensor, prev_root_pos: Tensor, dt: float
 ) -> Tensor:
-    """Reward the tilt of the box and the approach to it.
+    """Return the reward (n,) in [0, 1] of the box's tilt and the approach; 1 where the box lies.
 
-    Args:
-        tar_pos: (n, 3) m, of the box.
-        tar_rot: (n, 4) xyzw, of the box.
-        root_pos: (n, 3) m, of the character after the control step.
-        prev_root_pos: (n, 3) m, before it.
-        dt: time of the control step in s.
-
-    Returns:
-        (n,) in [0, 1], 1 where the box lies.
+    Positions (n, 3) are in m, `tar_rot` (n, 4) is xyzw, and `dt` (s) is the duration of the step.
     """
     upright = quat_to_tan_norm(tar_rot)[:, 5]  # height of its z axis
     direction = normalize(tar_pos[:, :2] - root_pos[:, :2], eps=1e-12)
@@ -93,12 +79,9 @@ def compute_strike_reward(
 def compute_strike_failures(
     tar_contact_forces: Tensor, contact_forces: Tensor, allowed_body_ids: Tensor
 ) -> Tensor:
-    """Return (n,) bool: the box is touched while a body that must not touch anything does.
+    """Return (n,) bool: the box is touched while a forbidden body touches something.
 
-    Args:
-        tar_contact_forces: (n, 3) N on the box.
-        contact_forces: (n, B, 3) N on the bodies.
-        allowed_body_ids: bodies that may touch something.
+    The forces (n, 3) on the box and (n, B, 3) on the bodies are in N.
     """
     touched = (tar_contact_forces[:, :2].abs() > _CONTACT_THRESHOLD_N).any(dim=-1)
     forces = contact_forces.abs().amax(dim=-1).index_fill(1, allowed_body_ids, 0.0)
@@ -110,7 +93,6 @@ class StrikeSettings(GoalSettings):
     """Keys of `task.env` for the goal `strike`."""
 
     strike_body_names: tuple[str, ...] = setting((), key="strikeBodyNames")
-    """Bodies that may hit the box; []: sword, right hand and lower arm, if it has them."""
 
 
 class Strike(Goal):
@@ -125,7 +107,7 @@ class Strike(Goal):
         add_box(spec, TARGET_NAME, _TARGET_SIZE_M, _TARGET_DENSITY, (2.0, 0.0, _TARGET_HEIGHT_M))
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """As the base."""
+        """Run the base method and look up the box and the striking bodies."""
         super().attach(simulation, dt_s)
         names = simulation.body_names
         wanted = self.settings.strike_body_names
@@ -137,7 +119,7 @@ class Strike(Goal):
         self._target = simulation.object_names.index(TARGET_NAME)
 
     def reset(self, env_ids: Tensor) -> None:
-        """Put the boxes upright at random places around the characters."""
+        """Place the boxes upright at random positions around the characters."""
         n, device = len(env_ids), env_ids.device
         near = torch.rand(n, device=device) < _NEAR_PROB
         furthest = torch.full((n,), _DIST_MAX_M, device=device).masked_fill(near, _NEAR_DIST_M)
@@ -156,18 +138,18 @@ class Strike(Goal):
         return self.rows(self.simulation.object_states[:, self._target], env_ids)
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
-        """Return (n, 15); see `compute_strike_observations`."""
+        """See `compute_strike_observations`."""
         return compute_strike_observations(self.root_states(env_ids), self._target_states(env_ids))
 
     def reward(self) -> Tensor:
-        """Return (N,); see `compute_strike_reward`."""
+        """See `compute_strike_reward`."""
         target, root = self._target_states(), self.root_states()
         return compute_strike_reward(
             target[:, :3], target[:, 3:7], root[:, :3], self.prev_root_pos_w, self.dt_s
         )
 
     def failures(self, contact_body_ids: Tensor) -> Tensor:
-        """Return (N,) bool; see `compute_strike_failures`."""
+        """See `compute_strike_failures`."""
         return compute_strike_failures(
             self.simulation.object_contact_forces[:, self._target],
             self.simulation.contact_forces,

@@ -1,10 +1,9 @@
 """Velocity: walk, sidestep, turn and stand as commanded, in the style of the clips.
 
-The commands and their keys are Anymal's (IsaacGymEnvs), and so are the kernels of the reward
-(`velocity_tracking.tracking_kernels`). Two things differ, because the style counts, too. Velocities
-are in the heading frame, the root's turned upright: a walking robot leans, and so would the axes of
-its base. And the mean motion of the last second counts, about a stride: hips sway and turn to and
-fro with every step, which a reward of each moment's velocity would suppress.
+The commands, their keys and the reward kernels are Anymal's (IsaacGymEnvs), with two differences.
+Velocities are in the heading frame, because a walking robot leans. The mean velocity of the last
+second is rewarded, because hips sway with every step, and a reward of each moment would suppress
+the sway.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, astuple, dataclass
 from typing import Any
 
 import torch
@@ -30,29 +29,26 @@ from isaacgymenvs_lite.tasks.goals.planar import facing, turned, xy_in_heading_f
 log = logging.getLogger(__name__)
 
 WINDOW_S = 1.0
-"""Time over which motion and commands are averaged: about a stride."""
-# A robot stalls that goes less than this share of a commanded way for a second, though the command,
-# of at least so much, has lasted for longer: a robot needs some steps to begin.
+"""Duration over which motion and commands are averaged, about one stride."""
+# A robot stalls if it covers less than this share of the commanded distance in a second. A command
+# must have this least speed and have lasted for this time, because a robot needs steps to start.
 _STALLED_SHARE, _LEAST_COMMAND_M_S, _TIME_TO_GO_S = 0.3, 0.25, 1.5
-# Moments of the next second of a clip, over which its motion is averaged.
-_NUM_AHEAD = 8
-# Axis of the command and direction of the keys; presses from 0 to the end of a range.
+_NUM_AHEAD = 8  # times in the next second of a clip
+# Each key has an axis of the command and a sign.
 _STEERING = {
     **{"up": (0, 1.0), "down": (0, -1.0), "q": (1, 1.0)},
     **{"e": (1, -1.0), "left": (2, 1.0), "right": (2, -1.0)},
 }
-_KEY_STEPS = 5
-# A shorter arrow is not drawn; the actual motion is above the commanded one.
+_KEY_STEPS = 5  # key presses from 0 to the end of a range
 _LEAST_ARROW_M = 0.05
 _COMMANDED_HEIGHT_M, _ACTUAL_HEIGHT_M = 0.03, 0.15
 
 
 def compute_planar_motion(root_states: Tensor, forward_yaw_rad: float = 0.0) -> Tensor:
-    """Return (n, 3) the velocity forward and to the left (m/s), and the turn rate (rad/s).
+    """Return (n, 3): velocity forward and to the left (m/s), and turn rate (rad/s).
 
-    Args:
-        root_states: (n, 13) world position, rotation xyzw, linear and angular velocity.
-        forward_yaw_rad: from the heading of the root's x axis to forward, about z.
+    `root_states` (n, 13) are in world axes. `forward_yaw_rad` is the angle about z from the root's
+    heading to the forward direction.
     """
     velocity = xy_in_heading_frame(root_states[:, 3:7], root_states[:, 7:9])
     if forward_yaw_rad:
@@ -62,40 +58,28 @@ def compute_planar_motion(root_states: Tensor, forward_yaw_rad: float = 0.0) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class GaitCommandRanges(CommandRangesConfig):
-    """`task.env.randomCommandVelocityRanges`: as Anymal's, of the heading frame."""
+    """`task.env.randomCommandVelocityRanges`, in the heading frame."""
 
-    linear_x: tuple[float, ...] = setting((0.0, 1.0), length=2)
-    """m/s, forward."""
-    linear_y: tuple[float, ...] = setting((-0.3, 0.3), length=2)
-    """m/s, to the left."""
-    yaw: tuple[float, ...] = setting((-1.0, 1.0), length=2)
-    """rad/s, to the left."""
+    linear_x: tuple[float, ...] = setting((0.0, 1.0), length=2)  # m/s, forward
+    linear_y: tuple[float, ...] = setting((-0.3, 0.3), length=2)  # m/s, to the left
+    yaw: tuple[float, ...] = setting((-1.0, 1.0), length=2)  # rad/s, to the left
 
 
 @dataclass(frozen=True, kw_only=True)
 class VelocitySettings(GoalSettings):
     """Keys of `task.env` for the goal `velocity`."""
 
-    command_ranges: GaitCommandRanges = field(
-        default_factory=GaitCommandRanges, metadata={"key": "randomCommandVelocityRanges"}
+    command_ranges: GaitCommandRanges = setting(
+        GaitCommandRanges(), key="randomCommandVelocityRanges"
     )
     change_steps_min: int = setting(90, key="commandChangeStepsMin", minimum=1)
-    """Control steps after which the command changes, at the earliest."""
     change_steps_max: int = setting(210, key="commandChangeStepsMax", minimum=2)
-    """The command changes before so many control steps."""
     standing_share: float = setting(0.15, key="standingShare", minimum=0, maximum=1)
-    """Share of the commands that are to stand still, whatever the ranges are."""
     forward_yaw_rad: float = setting(0.0, key="forwardYaw", minimum=-math.pi, maximum=math.pi)
-    """Direction (rad) that is forward in the heading frame: pi / 2 if the robot's front is the y
-    axis of its base."""
     clip_share: float = setting(0.0, key="clipCommandShare", minimum=0, maximum=1)
-    """Of the starts in a clip, first commanded what the clip does in the next second."""
     end_stalled: bool = setting(False, key="endStalled")
-    """End episodes, as failed, of robots that hardly go although they are commanded to."""
     lin_vel_xy_reward: float = setting(0.6, key="linearVelocityXYRewardScale", minimum=0)
-    """Reward of a step whose last second had exactly the commanded velocity."""
     ang_vel_z_reward: float = setting(0.4, key="angularVelocityZRewardScale", minimum=0)
-    """Reward of a step whose last second had exactly the commanded turn rate."""
 
 
 class Velocity(TimedGoal):
@@ -105,14 +89,14 @@ class Velocity(TimedGoal):
         commands: (N, 3) velocity forward and to the left (m/s), turn rate to the left (rad/s).
 
     Raises:
-        ConfigError: a value that cannot be used, or a range whose lowest is above its highest.
+        ConfigError: a value is invalid, or a range is empty.
     """
 
     num_obs = 3
     obs_name = "command"
     key_help = (
-        "up, down: faster, slower; left, right: turn; q, e: sideways; space: stop, and once more:"
-        " random commands again"
+        "up, down: faster, slower; left, right: turn; q, e: sideways; space: stop; space again:"
+        " random commands"
     )
     settings_class = VelocitySettings
     look_ahead_s = tuple(WINDOW_S * i / _NUM_AHEAD for i in range(_NUM_AHEAD))
@@ -129,13 +113,12 @@ class Velocity(TimedGoal):
                 )
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """As the base; before commands are drawn, all are to stand."""
+        """Run the base method and command all characters to stand."""
         super().attach(simulation, dt_s)
         n, device = simulation.num_envs, simulation.device
         self.commands = torch.zeros(n, 3, device=device)
-        # None: commands are drawn.
-        self._steered: list[float] | None = None
-        # What the last steps moved less than commanded, in turns, and how many there are of them.
+        self._steered: list[float] | None = None  # the user's command
+        # A ring buffer of commands minus motions, and the number of valid rows.
         window = max(1, round(WINDOW_S / dt_s))
         self._shortfalls = torch.zeros(window, n, 3, device=device)
         self._next_row = 0
@@ -144,23 +127,21 @@ class Velocity(TimedGoal):
 
     def _limits(self, device: torch.device) -> tuple[Tensor, Tensor]:
         """Return the lowest and the highest command, (3,) each."""
-        limits = torch.tensor(self.settings.command_ranges.limits(), device=device)
+        limits = torch.tensor(astuple(self.settings.command_ranges), device=device)
         return limits[:, 0], limits[:, 1]
 
     def planar_motion(self, root_states: Tensor) -> Tensor:
-        """Return (n, 3) what `root_states` (n, 13) move, see `compute_planar_motion`."""
+        """Return the motion (n, 3) of `root_states` (n, 13), see `compute_planar_motion`."""
         return compute_planar_motion(root_states, self.settings.forward_yaw_rad)
 
-    # --- commands ----------------------------------------------------------------------------
-
     def reset(self, env_ids: Tensor) -> None:
-        """As the base, and forget the errors of the episode before."""
+        """Run the base method and clear the errors of the previous episode."""
         super().reset(env_ids)
         self._shortfalls.index_fill_(1, env_ids, 0.0)
         self._num_shortfalls.index_fill_(0, env_ids, 0)
 
     def draw(self, env_ids: Tensor) -> None:
-        """Draw commands for `env_ids` (n,), unless someone steers."""
+        """Draw commands for `env_ids` (n,), unless a user steers."""
         n, device = len(env_ids), env_ids.device
         if self._steered is not None:
             commands = torch.tensor(self._steered, device=device).expand(n, 3)
@@ -173,15 +154,15 @@ class Velocity(TimedGoal):
         self._command_steps.index_fill_(0, env_ids, 0)
 
     def observe_clip(self, root_states: Tensor) -> Tensor:
-        """Return (n, 3), the command within the ranges that is nearest to a clip's next second."""
+        """Return the command (n, 3) that is nearest to a clip's next second, within the ranges."""
         low, high = self._limits(root_states.device)
         motion = self.planar_motion(root_states.flatten(0, 1)).view(len(root_states), -1, 3)
         return torch.minimum(torch.maximum(motion.mean(1), low), high)
 
     def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
-        """Command in a share of the starts what the clip does in the next second.
+        """Command the motion of the clip's next second in a share of the starts.
 
-        With random commands alone, a policy that cannot walk yet earns more by standing.
+        Random commands alone make standing pay more than first steps.
         """
         share = self.settings.clip_share
         if share == 0 or self._steered is not None:
@@ -191,9 +172,9 @@ class Velocity(TimedGoal):
         self.commands.index_copy_(0, env_ids[follows], commands[follows])
 
     def on_key(self, key: str) -> None:
-        """Steer all environments from the command of the first one on, see `key_help`.
+        """Steer all environments, starting from the first one's command; see `key_help`.
 
-        A command stays within the ranges; to stop is allowed where standing is trained.
+        A command stays within the ranges. Stopping is allowed if standing is trained.
         """
         low, high = self._limits(self.commands.device)
         if key in _STEERING:
@@ -212,10 +193,8 @@ class Velocity(TimedGoal):
         forward, left, turn = self.commands[0].tolist()
         log.info("command: forward %.2f m/s, left %.2f m/s, turn %.2f rad/s", forward, left, turn)
 
-    # --- a step ------------------------------------------------------------------------------
-
     def after_step(self) -> None:
-        """Store what the step moved less than commanded."""
+        """Store how much the motion of the step fell short of the command."""
         shortfall = self.commands - self.planar_motion(self.root_states())
         self._shortfalls[self._next_row] = shortfall
         self._next_row = (self._next_row + 1) % len(self._shortfalls)
@@ -223,30 +202,30 @@ class Velocity(TimedGoal):
         self._command_steps += 1
 
     def _mean_shortfall(self) -> Tensor:
-        """Return (N, 3) the mean command less the mean motion, of the last second."""
+        """Return the mean command minus the mean motion (N, 3) of the last second."""
         count = self._num_shortfalls.clamp(1, len(self._shortfalls)).unsqueeze(-1)
         return self._shortfalls.sum(0) / count
 
     def failures(self, contact_body_ids: Tensor) -> Tensor | None:
-        """Return (N,) bool, the robots that stall; None without `endStalled`.
+        """Return (N,) bool: the robot stalls; None without `endStalled`.
 
-        Standing is a local optimum: it never falls, and many commands are slow.
+        A policy that stands never falls and satisfies slow commands, which is a local optimum.
         """
         if not self.settings.end_stalled:
             return None
         commanded_m_s = torch.linalg.vector_norm(self.commands[:, :2], dim=-1)
-        # Along the command; what is missing of its square is the same share of the way.
+        # The missing share of the squared command is the missing share of the distance.
         missing = (self._mean_shortfall()[:, :2] * self.commands[:, :2]).sum(dim=-1)
         stalls = missing > (1.0 - _STALLED_SHARE) * commanded_m_s.square()
         had_time = self._command_steps * self.dt_s >= _TIME_TO_GO_S
         return stalls & had_time & (commanded_m_s > _LEAST_COMMAND_M_S)
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
-        """Return (n, 3), the commands."""
+        """Return the commands (n, 3)."""
         return self.rows(self.commands, env_ids)
 
     def reward(self) -> Terms:
-        """Return the terms (N,) of following velocity and turn rate, as means of a second."""
+        """Return the reward terms (N,) of tracking velocity and turn rate in the last second."""
         shortfall = self._mean_shortfall().t()
         along, turning = tracking_kernels(shortfall[:2], shortfall[2])
         cfg = self.settings
@@ -256,11 +235,7 @@ class Velocity(TimedGoal):
         }
 
     def errors(self) -> dict[str, Tensor]:
-        """Return the errors (N,) of velocity (m/s) and turn rate (rad/s) over the last second.
-
-        The mean motion of the second is compared with its mean command; of a younger episode that
-        of all its steps.
-        """
+        """Return errors (N,) of the mean velocity (m/s) and mean turn rate (rad/s)."""
         mean = self._mean_shortfall()
         return {
             "velocity_error_m_s": torch.linalg.vector_norm(mean[:, :2], dim=-1),
@@ -268,9 +243,10 @@ class Velocity(TimedGoal):
         }
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
-        """Return arrows of the commanded and of the actual velocity and turn.
+        """Return arrows of the commanded and the actual velocity and turn rate.
 
-        Velocities begin at the feet, 1 m for 1 m/s; turns in front of them, 1 m for 1 rad/s.
+        A velocity arrow starts at the feet with 1 m for 1 m/s. A turn arrow starts in front of the
+        feet with 1 m for 1 rad/s.
         """
         root = self.root_states()[env_id : env_id + 1]
         yaw_rad = self.settings.forward_yaw_rad

@@ -1,1 +1,1 @@
-"""Domain randomisation: noise on observations and actions, models that differ."""
+"""Domain randomisation: noise on observations and actions, and randomised models."""

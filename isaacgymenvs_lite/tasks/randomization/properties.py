@@ -1,11 +1,11 @@
 """Attributes of `actor_params` as fields of a MuJoCo model, per environment.
 
-The names are PhysX's. Where MuJoCo keeps the quantity otherwise, this is the translation:
+The names are PhysX's. Two quantities need a translation:
 
-- friction of shapes: PhysX takes the mean of two touching shapes, MuJoCo the larger one. The
-  robot's geoms get the mean of their own and the ground's value, and the ground none.
-- stiffness and damping of degrees of freedom: gains of a position drive, where there is one;
-  springs and dampers of the joint, else.
+- Friction of shapes: PhysX uses the mean of two touching shapes, MuJoCo the larger coefficient. The
+  robot's geoms get the mean of their own coefficient and the ground's. The ground gets none.
+- Stiffness and damping of degrees of freedom: they are gains of a position drive, if there is one.
+  Otherwise they are springs and dampers of the joint.
 """
 
 from __future__ import annotations
@@ -24,37 +24,24 @@ Ids = npt.NDArray[np.integer]
 
 
 class Property(ABC):
-    """One attribute of k bodies, geoms or degrees of freedom.
-
-    Attributes:
-        original: (k,) values in the model.
-        changes_constants: whether MuJoCo derives other fields from it.
-        left_out: the parts of the robot that it is not of, for the log; '' if there are none.
-    """
+    """One attribute of k bodies, geoms or degrees of freedom, with `original` values (k,)."""
 
     original: Doubles
-    changes_constants = False
-    left_out = ""
+    changes_constants = False  # True: MuJoCo derives other fields from it
+    left_out = ""  # parts of the robot without this attribute, for the log
 
     @abstractmethod
     def write(self, env_ids: Ids, values: Doubles) -> None:
-        """Give environments (n,) the values (n, k)."""
+        """Set the values (n, k) in environments (n,)."""
 
 
 class FieldProperty(Property):
-    """Some entries of a field of the model.
-
-    Args:
-        simulation: whose environments differ.
-        field: name of the field in `MjModel`.
-        ids: (k,) rows of the field.
-        column: of the rows, if they have several numbers.
-    """
+    """Rows `ids` (k,) of a field of `MjModel`, or one `column` of these rows."""
 
     def __init__(
         self, simulation: SimulationBackend, field: str, ids: Ids, column: int | None = None
     ) -> None:
-        # The model's values; those of the environments may have been written before.
+        # The values of the environments may already have been randomised.
         values, original = simulation.expand(field), getattr(simulation.model, field)[ids]
         self._values = values if column is None else values[..., column]
         self._ids = ids
@@ -84,7 +71,7 @@ class Mass(FieldProperty):
 
 
 class InverseMass(Property):
-    """One over the masses, 1/kg."""
+    """Reciprocal masses, 1/kg."""
 
     changes_constants = True
 
@@ -98,12 +85,9 @@ class InverseMass(Property):
 
 
 class Friction(Property):
-    """Coefficients of friction of the robot's geoms with the ground; see the module docstring.
+    """Friction coefficients of geoms (k,) with the ground; see the module docstring.
 
-    Args:
-        simulation: whose environments differ.
-        geoms: (k,) of the robot.
-        column: 0 sliding, 1 torsional, 2 rolling.
+    The column is 0 for sliding, 1 for torsional and 2 for rolling friction.
     """
 
     def __init__(self, simulation: SimulationBackend, geoms: Ids, column: int) -> None:
@@ -114,7 +98,7 @@ class Friction(Property):
         if floor >= 0:
             self._ground = float(simulation.model.geom_friction[floor, column])
             self._values[:, floor] = mujoco.mjMINMU
-        # The model holds the coefficient of a contact: the mean of both.
+        # The model holds the contact's coefficient, which is the mean of both.
         self.original = 2.0 * simulation.model.geom_friction[geoms, column] - self._ground
 
     def write(self, env_ids: Ids, values: Doubles) -> None:
@@ -126,7 +110,7 @@ class Friction(Property):
 class Gain(Property):
     """Stiffness (column 1) or damping (column 2) of degrees of freedom, by drives or joints.
 
-    A ball joint has a drive for each of its axes, or is left out: its one spring has no axes.
+    A ball joint without a drive for each axis is left out, because its spring has no axes.
     """
 
     def __init__(self, simulation: SimulationBackend, layout: ModelLayout, column: int) -> None:
@@ -145,7 +129,7 @@ class Gain(Property):
         self._driven = driven = self._drives >= 0
         self._driven_by = by = self._drives[driven]
         self.original[driven] = -model.actuator_biasprm[by, column]
-        # Gain and bias differ where MuJoCo must not see a servo, see `humanoid_model`.
+        # Gain and bias differ where MuJoCo must not recognise a servo, see `set_actuators`.
         self._near = (column == 1) & (
             model.actuator_biasprm[by, 1] != -model.actuator_gainprm[by, 0]
         )
@@ -163,7 +147,7 @@ class Gain(Property):
 
 
 def _drives_of(model: mujoco.MjModel, layout: ModelLayout) -> Ids:
-    """Return (D,) the position drive of each degree of freedom, -1 without one."""
+    """Return the position drive (D,) of each degree of freedom, or -1."""
     affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
     servo = affine & (model.actuator_biasprm[:, 1] != 0.0)
     on_joint = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
@@ -173,7 +157,7 @@ def _drives_of(model: mujoco.MjModel, layout: ModelLayout) -> Ids:
         dof = model.jnt_dofadr[joint] - layout.dof_vel_adr
         if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_BALL):
             dof += int(np.abs(model.actuator_gear[actuator, :3]).argmax())
-        if 0 <= dof < layout.num_dofs:  # not one of an object
+        if 0 <= dof < layout.num_dofs:  # objects have other DOFs
             drives[dof] = actuator
     return drives
 
@@ -181,13 +165,9 @@ def _drives_of(model: mujoco.MjModel, layout: ModelLayout) -> Ids:
 def make_property(
     simulation: SimulationBackend, layout: ModelLayout, group: str, attribute: str
 ) -> Property | None:
-    """Return the robot's property, None if MuJoCo has no counterpart.
+    """Return a property of the robot, or None if MuJoCo has no counterpart.
 
-    Args:
-        simulation: its environments are made to differ.
-        layout: of its model.
-        group: as `settings.PROPERTIES`.
-        attribute: of the group.
+    `group` and `attribute` are a key and a value of `settings.PROPERTIES`.
     """
     model = simulation.model
     bodies = np.arange(1, 1 + len(layout.body_names))
@@ -214,9 +194,9 @@ def make_property(
 
 
 class Limits(FieldProperty):
-    """Lower (column 0) or upper (1) limits of hinges (rad) and slides (m).
+    """Lower (column 0) or upper (column 1) limits of hinges (rad) and slides (m).
 
-    Ball joints are left out: MuJoCo limits their angle, but no axis of theirs.
+    Ball joints are left out, because MuJoCo limits only their total angle.
     """
 
     def __init__(self, simulation: SimulationBackend, layout: ModelLayout, column: int) -> None:
@@ -228,7 +208,7 @@ class Limits(FieldProperty):
 
 
 class Effort(Property):
-    """Largest forces of actuators (Nm or N), to either side."""
+    """Largest forces of actuators (Nm or N) in both directions."""
 
     def __init__(self, simulation: SimulationBackend) -> None:
         ids = np.flatnonzero(simulation.model.actuator_forcelimited)

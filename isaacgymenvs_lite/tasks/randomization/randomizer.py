@@ -1,8 +1,8 @@
-"""DomainRandomizer: draws noise and physical parameters at the times that IsaacGymEnvs does.
+"""DomainRandomizer: draws noise and physical parameters at IsaacGymEnvs' times.
 
-Fixed in comparison (as named in docs/migration.md): each property and environment keeps the
-original value that draws start from; `setup_only` concerns its own attribute alone; draws outside
-the buckets go to the nearest one.
+docs/migration.md lists the differences: draws always start from the original values of each
+property and environment. `setup_only` applies to its own attribute alone. Draws outside the buckets
+use the nearest bucket.
 """
 
 from __future__ import annotations
@@ -26,19 +26,18 @@ from isaacgymenvs_lite.tasks.randomization.settings import (
 )
 from isaacgymenvs_lite.utils.state import Stateful
 
+log = logging.getLogger(__name__)
+
 
 def draw(settings: AttributeSettings, frame: int, shape: tuple[int, ...]) -> Tensor:
-    """Return numbers of `shape` (float64) to add to values, or to multiply them by.
+    """Return random float64 values of `shape`, to be added to values or multiplied with them.
 
-    Args:
-        settings: distribution, operation, schedule and buckets.
-        frame: simulator calls so far.
-        shape: of the result.
+    `frame` is the number of simulator calls so far, on which the schedule depends.
     """
     factor = settings.factor(frame)
     scaling = settings.operation == "scaling"
     first, second = settings.range
-    rest = 1.0 - factor if scaling else 0.0  # what does nothing
+    rest = 1.0 - factor if scaling else 0.0  # the neutral part
     if factor == 0.0:
         return torch.full(shape, rest, dtype=torch.float64)
     if settings.distribution == "gaussian":
@@ -54,11 +53,11 @@ def draw(settings: AttributeSettings, frame: int, shape: tuple[int, ...]) -> Ten
 
 
 def bucketed(drawn: Tensor, settings: AttributeSettings) -> Tensor:
-    """Return the numbers rounded down to the grid of buckets; those outside go to its ends."""
+    """Return the values rounded down to the grid of buckets, which clamps values outside."""
     first, second = settings.range
     low, high = first, second
     if settings.distribution == "gaussian":
-        # As published, which takes the second number for a variance here.
+        # IsaacGymEnvs uses the standard deviation as a variance here.
         low, high = first - 2.0 * math.sqrt(second), first + 2.0 * math.sqrt(second)
     count = settings.num_buckets or 1
     width = (high - low) / count
@@ -69,11 +68,7 @@ def bucketed(drawn: Tensor, settings: AttributeSettings) -> Tensor:
 
 
 class Noise(Stateful):
-    """Noise on rows of numbers: a part that is new at each call, and one that stays.
-
-    Args:
-        settings: distributions, operation and schedule.
-    """
+    """Noise on values (N, D): a new part in each call, and a held part that `refresh` redraws."""
 
     def __init__(self, settings: NoiseSettings) -> None:
         self._settings = settings
@@ -81,7 +76,7 @@ class Noise(Stateful):
         self.refresh(0)
 
     def refresh(self, frame: int) -> None:
-        """Draw a new held part, with the parameters of `frame` simulator calls."""
+        """Redraw the held part, with the parameters at `frame` simulator calls."""
         settings = self._settings
         factor = settings.factor(frame)
         first, second = (factor * value for value in settings.range)
@@ -96,7 +91,7 @@ class Noise(Stateful):
         self._held = None
 
     def __call__(self, values: Tensor) -> Tensor:
-        """Return `values` (N, D) with noise on every number."""
+        """Return `values` (N, D) with noise."""
         if self._held is None:
             self._held = torch.randn_like(values)
         (first, second), (held_first, held_second) = self._fresh, self._correlated
@@ -104,26 +99,19 @@ class Noise(Stateful):
             noise = self._held * held_second + held_first
             noise += torch.randn_like(values).mul_(second).add_(first)
         else:
-            # The held part of uniform noise is Gaussian, as published.
+            # The held part of uniform noise is Gaussian, as in IsaacGymEnvs.
             noise = self._held * (held_second - held_first) + held_first
             noise += torch.rand_like(values).mul_(second - first).add_(first)
         return values + noise if self._settings.operation == "additive" else values * noise
 
 
-log = logging.getLogger(__name__)
-
-
 class DomainRandomizer(Stateful):
-    """Draws noise and models; everything once when it is made.
+    """Draws noise and model parameters; everything is drawn once at construction.
 
-    Args:
-        params: the section `task.task.randomization_params`.
-        simulation: its models are made to differ.
-        layout: of its model.
-        actors: names of the task's actors, the robot's first.
+    `params` is the section `task.task.randomization_params`. The first of the actors is the robot.
 
     Raises:
-        ConfigError: an unknown actor, property, attribute or value.
+        ConfigError: an actor, property, attribute or value is invalid.
     """
 
     stored = ("_last_draw", "_action_noise", "_observation_noise")
@@ -152,7 +140,7 @@ class DomainRandomizer(Stateful):
             self._properties.append((settings, found))
         if unsupported:
             log.warning(
-                "randomization_params: MuJoCo has no counterpart for %s; not randomised",
+                "randomization_params: not randomised, because MuJoCo has no counterpart: %s",
                 ", ".join(unsupported),
             )
         self._gravity = simulation.expand("opt.gravity") if plan.gravity else None
@@ -165,23 +153,20 @@ class DomainRandomizer(Stateful):
         self._draw_environments(everywhere, frame=0, setup=True)
 
     def noisy_actions(self, actions: Tensor) -> Tensor:
-        """Return actions (N, A) with noise, if there is any."""
+        """Return actions (N, A), with noise if it is configured."""
         return actions if self._action_noise is None else self._action_noise(actions)
 
     def noisy_observations(self, observations: Tensor) -> Tensor:
-        """Return observations (N, O) with noise, if there is any."""
+        """Return observations (N, O), with noise if it is configured."""
         if self._observation_noise is None:
             return observations
         return self._observation_noise(observations)
 
     def on_reset(self, env_ids: Tensor, steps_since_draw: Tensor, frame: int) -> None:
-        """Draw new values of what is due.
+        """Draw the values that are due in environments (n,) that start a new episode.
 
-        Args:
-            env_ids: (n,) environments that start a new episode.
-            steps_since_draw: (N,) control steps since the last draw of each environment; set to
-                zero where it is drawn.
-            frame: simulator calls so far.
+        `steps_since_draw` (N,) counts control steps since the last draw, and is set to zero where
+        values are drawn. `frame` is the number of simulator calls so far.
         """
         if frame - self._last_draw >= self._plan.frequency:
             self._last_draw = frame

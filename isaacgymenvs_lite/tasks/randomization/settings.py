@@ -1,4 +1,4 @@
-"""The section `task.task.randomization_params`, with the schema of IsaacGymEnvs, checked."""
+"""The checked section `task.task.randomization_params`, with IsaacGymEnvs' keys."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ PROPERTIES: dict[str, tuple[str, ...]] = {
         *("fixed_lower_limit", "fixed_upper_limit"),
     ),
 }
-"""Groups of an actor's properties and what they hold."""
+"""Groups of an actor's properties, and their attributes."""
 _SIM_PARAMS = ("gravity", "rest_offset")
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Scheduled:
     range: tuple[float, ...] = setting(length=2)
-    """Limits of a uniform, mean and standard deviation of a Gaussian distribution."""
+    """Limits of a uniform distribution, or mean and standard deviation of a Gaussian."""
     operation: str = setting(choices=_OPERATIONS)
     schedule: str | None = setting(None, choices=_SCHEDULES)
-    """How the randomisation grows; None: full strength at once."""
+    """Growth of the randomisation; None: full strength from the start."""
     schedule_steps: int = setting(1, minimum=1)
-    """Simulator calls after which the randomisation is at full strength."""
+    """Simulator calls until full strength."""
 
     def factor(self, frame: int) -> float:
-        """Return the share of the randomisation at `frame` simulator calls, 0 to 1."""
+        """Return the strength of the randomisation at `frame` simulator calls, 0 to 1."""
         if self.schedule is None:
             return 1.0
         if self.schedule == "constant":
@@ -53,56 +53,46 @@ class _Scheduled:
 
 @dataclass(frozen=True, kw_only=True)
 class AttributeSettings(_Scheduled):
-    """How one attribute of the model is drawn."""
+    """Distribution of one attribute of the model."""
 
     distribution: str = setting(choices=("uniform", "loguniform", "gaussian"))
     setup_only: bool = setting(False)
-    """Drawn once, when the simulation is made."""
+    """True: drawn only once, when the simulation is created."""
     num_buckets: int | None = setting(None, minimum=1)
-    """Round the draw down to one of so many values."""
+    """Draws are rounded down to a grid of this number of values."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseSettings(_Scheduled):
-    """Noise on observations or actions, drawn at every step."""
+    """Noise on observations or actions in every step."""
 
     distribution: str = setting(choices=("uniform", "gaussian"))
     range_correlated: tuple[float, ...] = setting((0.0, 0.0), length=2)
-    """As `range`, of the part that stays from one draw of the parameters to the next."""
+    """The `range` of the held part, which changes only when parameters are drawn."""
 
 
 @dataclass(frozen=True)
 class RandomizationPlan:
-    """The randomised quantities, and how often they are drawn.
-
-    Attributes:
-        frequency: simulator calls (noise, gravity) or control steps (actors) between draws.
-        observations: noise, or None.
-        actions: noise, or None.
-        gravity: drawn for each axis, or None.
-        actor: (group, attribute) -> settings.
-        colour: whether the robot's bodies get random colours.
-        unsupported: paths of entries that MuJoCo has no counterpart for.
-    """
+    """The randomised quantities and the interval of their draws."""
 
     frequency: int
+    """Simulator calls (noise, gravity) or control steps (actors) between draws."""
     observations: NoiseSettings | None
     actions: NoiseSettings | None
     gravity: AttributeSettings | None
     actor: dict[tuple[str, str], AttributeSettings] = field(default_factory=dict)
+    """Settings by (group, attribute)."""
     colour: bool = False
+    """True: the robot's bodies get random colours."""
     unsupported: tuple[str, ...] = ()
+    """Paths of entries without a counterpart in MuJoCo."""
 
 
 def read_plan(params: Mapping[str, Any], actors: Collection[str]) -> RandomizationPlan:
-    """Check `randomization_params`.
-
-    Args:
-        params: the section.
-        actors: the task's actors; the first is the robot.
+    """Return the checked `randomization_params`; the first of the task's `actors` is the robot.
 
     Raises:
-        ConfigError: an unknown actor, property, attribute or value, or an impossible range.
+        ConfigError: an actor, property, attribute, value or range is invalid.
     """
     known = ("frequency", "observations", "actions", "sim_params", "actor_params")
     _check_names(params, known, WHERE, "entry")
@@ -111,7 +101,7 @@ def read_plan(params: Mapping[str, Any], actors: Collection[str]) -> Randomizati
     gravity = sim.get("gravity")
     unsupported = [f"sim_params.{key}" for key in sim if key == "rest_offset"]
     entries = params.get("actor_params") or {}
-    if isinstance(entries, Mapping):  # null takes out an actor that a file below has
+    if isinstance(entries, Mapping):  # null removes an actor of a base file
         entries = {actor: groups for actor, groups in entries.items() if groups is not None}
     _check_names(entries, actors, f"{WHERE}.actor_params", "actor")
     attributes: dict[tuple[str, str], AttributeSettings] = {}
@@ -141,7 +131,7 @@ def read_plan(params: Mapping[str, Any], actors: Collection[str]) -> Randomizati
 def _frequency(params: Mapping[str, Any]) -> int:
     frequency = params.get("frequency", 1)
     if not isinstance(frequency, int) or isinstance(frequency, bool) or frequency < 1:
-        raise ConfigError(f"{WHERE}.frequency: got {frequency!r}, expected steps between draws")
+        raise ConfigError(f"{WHERE}.frequency: got {frequency!r}, expected a positive integer")
     return frequency
 
 
@@ -162,15 +152,15 @@ def _attribute(entry: Any, where: str) -> AttributeSettings:
 
 
 def _check_range(values: tuple[float, ...], distribution: str, where: str) -> None:
-    first, second = values[:2]
+    first, second = values
     expected = {
         "gaussian": ("a mean and a standard deviation of at least 0", second >= 0),
         "uniform": ("a lower and an upper limit", first <= second),
         "loguniform": ("a lower and an upper limit above 0", 0 < first <= second),
     }
-    words, fits = expected[distribution]
-    if len(values) != 2 or not fits:
-        raise ConfigError(f"{where}: got {list(values)}, expected {words}")
+    limits, fits = expected[distribution]
+    if not fits:
+        raise ConfigError(f"{where}: got {list(values)}, expected {limits}")
 
 
 def _check_names(entries: Any, known: Collection[str], where: str, what: str) -> None:

@@ -1,1 +1,1 @@
-"""Rough ground for legged robots: tiles, height scan and curriculum."""
+"""Rough ground for legged robots."""

@@ -1,8 +1,8 @@
-"""The ground of AnymalTerrain: a grid of tiles of growing difficulty within a flat border.
+"""The ground of AnymalTerrain: a grid of increasingly hard tiles in a flat border; its curriculum.
 
-World coordinates: the tile of level 0 and type 0 starts at the origin; levels follow each other
-along x, types along y. Each kind of tile is one pure function, as in IsaacGymEnvs' AnymalTerrain.
-Height samples are int16, in units of 0.005 m, on a grid of 0.1 m whose first axis is x.
+The tile of level 0 and type 0 starts at the world origin. Levels follow each other along x, types
+along y. Each kind of tile is a pure function, as in IsaacGymEnvs. Height samples are int16 in units
+of 0.005 m, on a grid of 0.1 m whose first axis is x.
 """
 
 from __future__ import annotations
@@ -12,22 +12,23 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import numpy.typing as npt
+import torch
+from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.tasks.base.task_config import PlaneConfig
+from isaacgymenvs_lite.utils.state import Stateful
 
 HORIZONTAL_M = 0.1
-"""From one sample to the next."""
+"""Distance of neighbouring samples."""
 VERTICAL_M = 0.005
-"""Of one unit of height."""
+"""Unit of height."""
 
 Samples = npt.NDArray[np.int16]
 Size = tuple[int, int]
 
-# Rectangles of `discrete_obstacles` have their corners on every such sample.
-_OBSTACLE_GRID = 4
-# Between the stones of `stepping_stones`.
+_OBSTACLE_GRID = 4  # samples between possible corners
 _HOLE_DEPTH_M = 10.0
 _PLATFORM_M = 3.0
 _STEP_WIDTH_M = 0.31
@@ -35,39 +36,35 @@ _OBSTACLE_SIDES_M = (1.0, 2.0)
 _NUM_OBSTACLES = 40
 _NOISE_M = 0.1
 _NOISE_SPACING_M = 0.2
-# Robots start within this square around the middle of a tile, above its highest sample.
-_START_AREA_M = 2.0
-# Below the lowest sample, so that a fast body does not go through.
-_GROUND_M = 1.0
+_START_AREA_M = 2.0  # square in the middle of a tile
+_DEMOTED_SHARE = 0.25
+_GROUND_M = 1.0  # thickness that stops fast bodies
 
 
 def samples_of(length_m: float) -> int:
-    """Return how many samples fit into a length (m), at least one."""
+    """Return the number of samples in a length (m), at least 1."""
     return max(1, int(round(length_m / HORIZONTAL_M, 6)))
 
 
 def units_of(height_m: float) -> int:
     """Return a height (m) in whole units, rounded towards zero."""
-    # 0.085 / 0.005 is a little less than 17.
+    # Rounding is needed, because 0.085 / 0.005 is less than 17 in floating point.
     return int(round(height_m / VERTICAL_M, 6))
 
 
 def pyramid_slope(size: Size, slope: float, platform_m: float) -> Samples:
     """Return a pyramid with a flat top, or for a negative slope a pit with a flat bottom.
 
-    The height is the product of a tent in x and one in y, cut off at the platform's corners.
-
-    Args:
-        size: samples in x and y.
-        slope: rise over run along the middle of the tile; the edge of the tile is at height 0.
-        platform_m: side of the flat square in the middle.
+    The height is the product of a tent in x and a tent in y, cut off at the corners of the
+    platform. `slope` is the rise over run along the middle of the tile, whose edge has height 0.
+    `platform_m` is the side of the flat square.
     """
     center = (size[0] // 2, size[1] // 2)
     tent_x, tent_y = (
         1.0 - np.abs(np.arange(n) / c - 1.0) for n, c in zip(size, center, strict=True)
     )
     peak = units_of(slope * size[0] / 2 * HORIZONTAL_M)
-    # Rounded, so that a whole number with an error in the last bit stays whole.
+    # Rounding removes errors in the last bit before truncation.
     heights = (peak * tent_x[:, None] * tent_y).round(6).astype(np.int16)
     half = samples_of(platform_m) // 2
     corner = heights[center[0] - half, center[1] - half]
@@ -77,13 +74,9 @@ def pyramid_slope(size: Size, slope: float, platform_m: float) -> Samples:
 def pyramid_stairs(
     size: Size, step_width_m: float, step_height_m: float, platform_m: float
 ) -> Samples:
-    """Return square rings that rise towards the middle, or sink for a negative step height.
+    """Return square steps that rise towards the middle, or sink for a negative height.
 
-    Args:
-        size: samples in x and y.
-        step_width_m: of a ring.
-        step_height_m: from one ring to the next; the outermost is at height 0.
-        platform_m: rings are added while the middle is wider than this.
+    The outermost step has height 0. Steps are added while the middle is wider than `platform_m`.
     """
     width, platform = samples_of(step_width_m), samples_of(platform_m)
     rise = units_of(step_height_m)
@@ -103,15 +96,10 @@ def discrete_obstacles(
     count: int,
     platform_m: float,
 ) -> Samples:
-    """Return rectangles of four heights and depths on a plane, with a free square in the middle.
+    """Return `count` rectangles on a plane, with a free square of side `platform_m` in the middle.
 
-    Args:
-        size: samples in x and y.
-        rng: draws places, sides and heights.
-        max_height_m: the heights are this, half of it, and minus those.
-        sides_m: shortest and longest side of a rectangle.
-        count: rectangles; later ones replace earlier ones.
-        platform_m: side of the free square.
+    The heights are plus or minus `max_height_m`, and plus or minus half of it. `sides_m` are the
+    shortest and the longest side. Later rectangles overwrite earlier ones.
     """
     top = units_of(max_height_m)
     choices = (-top, -(top // 2), top // 2, top)
@@ -129,14 +117,9 @@ def discrete_obstacles(
 def stepping_stones(
     size: Size, rng: np.random.Generator, stone_m: float, gap_m: float, platform_m: float
 ) -> Samples:
-    """Return square stones at height 0 in rows along y, between them holes 10 m deep.
+    """Return rows of square stones at height 0 along y, with holes of 10 m between them.
 
-    Args:
-        size: samples in x and y.
-        rng: draws where in each row the first stone ends.
-        stone_m: side of a stone.
-        gap_m: between stones.
-        platform_m: side of a square without holes in the middle.
+    `rng` draws where the first stone in each row ends. The square in the middle has no holes.
     """
     stone, gap = samples_of(stone_m), samples_of(gap_m)
     period = stone + gap
@@ -151,14 +134,9 @@ def stepping_stones(
 def roughness(
     size: Size, rng: np.random.Generator, amplitude_m: float, step_m: float, spacing_m: float
 ) -> Samples:
-    """Return random heights on a coarse grid, linear in between, to be added to a tile.
+    """Return random heights on a coarse grid, interpolated linearly, to be added to a tile.
 
-    Args:
-        size: samples in x and y.
-        rng: draws the heights.
-        amplitude_m: heights are in +- this.
-        step_m: heights are multiples of this.
-        spacing_m: of the coarse grid.
+    The heights are multiples of `step_m` between -`amplitude_m` and `amplitude_m`.
     """
     top, step = units_of(amplitude_m), units_of(step_m)
     coarse_size = [max(2, n // samples_of(spacing_m)) for n in size]
@@ -168,7 +146,7 @@ def roughness(
 
 
 def _stretch(values: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.float64]:
-    """Interpolate (n, m) linearly to (count, m); the first and last rows stay."""
+    """Interpolate (n, m) linearly to (count, m), and keep the first and last rows."""
     at = np.linspace(0.0, len(values) - 1.0, count)
     below = np.minimum(at.astype(np.int64), len(values) - 2)
     share = (at - below)[:, None]
@@ -176,7 +154,7 @@ def _stretch(values: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.floa
 
 
 def middle(size: Size, side_m: float) -> tuple[slice, slice]:
-    """Return the slices of a square of `side_m` in the middle of a tile."""
+    """Return the slices of a square of side `side_m` in the middle of a tile."""
     half = samples_of(side_m) // 2
     x, y = size[0] // 2, size[1] // 2
     return slice(x - half, x + half), slice(y - half, y + half)
@@ -187,60 +165,45 @@ class TerrainConfig(PlaneConfig):
     """`task.env.terrain`."""
 
     terrain_type: str = setting("trimesh", key="terrainType", choices=("trimesh", "plane"))
-    """trimesh: the grid of tiles (a height field here); plane: flat ground."""
     curriculum: bool = setting(True)
-    """Difficulty grows with the level, and robots move between levels. False: random tiles."""
     max_init_level: int = setting(0, key="maxInitMapLevel", minimum=0)
-    """Robots start at levels up to this."""
     length_m: float = setting(8.0, key="mapLength", minimum=4, maximum=100)
-    """Of a tile, along x."""
     width_m: float = setting(8.0, key="mapWidth", minimum=4, maximum=100)
-    """Of a tile, along y."""
     num_levels: int = setting(10, key="numLevels", minimum=1)
     num_types: int = setting(20, key="numTerrains", minimum=1)
     proportions: tuple[float, ...] = setting(
         (0.1, 0.1, 0.35, 0.25, 0.2), key="terrainProportions", minimum=0, min_length=5
     )
-    """Shares of the types: smooth slope, rough slope, stairs down to the middle, stairs up to it,
-    obstacles; stepping stones are the rest."""
-    slope_threshold: float = setting(0.5, key="slopeTreshold", minimum=0)
-    """No effect: a height field has slopes over 0.1 m in place of vertical walls."""
+    """Shares of the tile types: smooth slope, rough slope, stairs down, stairs up, obstacles. The
+    rest are stepping stones."""
+    slope_threshold: float = setting(0.5, key="slopeTreshold", minimum=0)  # no effect
     border_m: float = setting(20.0, key="borderSize", minimum=0)
-    """This project's: width of the flat ground around the grid."""
     demotion_as_published: bool = setting(False, key="demotionAsPublished")
-    """This project's: see `curriculum`."""
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """Ground of X x Y samples with L levels of T types.
-
-    Attributes:
-        samples: (X, Y) int16, in units of 0.005 m.
-        origins: (L, T, 3) float64 middles of the tiles, at the highest sample around them (m).
-        border_m: distance in x and y of the first sample from the world's origin.
-    """
+    """Ground of X x Y samples with L levels of T types."""
 
     samples: Samples
+    """(X, Y) in units of 0.005 m."""
     origins: npt.NDArray[np.float64]
+    """(L, T, 3) middles of the tiles (m), at the height of the highest sample nearby."""
     border_m: float
+    """The first sample is at (-border_m, -border_m)."""
 
 
 def make_terrain(cfg: TerrainConfig, rng: np.random.Generator) -> Terrain:
-    """Make the ground of a configuration.
-
-    Args:
-        cfg: `task.env.terrain`.
-        rng: the generator of the random tiles.
+    """Return the ground of a configuration; `rng` draws the random tiles.
 
     Raises:
-        ConfigError: the levels at the beginning are more than there are.
+        ConfigError: `maxInitMapLevel` is not below `numLevels`.
     """
     if cfg.terrain_type == "plane":
         return Terrain(np.zeros((2, 2), dtype=np.int16), np.zeros((1, 1, 3)), 0.0)
     if cfg.max_init_level >= cfg.num_levels:
         raise ConfigError(
-            f"task.env.terrain.maxInitMapLevel={cfg.max_init_level}: expected less than"
+            f"task.env.terrain.maxInitMapLevel={cfg.max_init_level}: expected a level below"
             f" numLevels={cfg.num_levels}"
         )
     size = samples_of(cfg.length_m), samples_of(cfg.width_m)
@@ -268,12 +231,12 @@ def make_terrain(cfg: TerrainConfig, rng: np.random.Generator) -> Terrain:
 def _graded_tile(
     cfg: TerrainConfig, size: Size, rng: np.random.Generator, difficulty: float, choice: float
 ) -> Samples:
-    """Return the tile of a difficulty in [0, 1), of the type at `choice` in [0, 1)."""
-    # Rounded, so that 0.1 + 0.1 + 0.35 is not above 0.55.
+    """Return the tile of a difficulty in [0, 1) and of the type at `choice` in [0, 1)."""
+    # Rounding is needed, because 0.1 + 0.1 + 0.35 is above 0.55 in floating point.
     ends = np.cumsum(cfg.proportions).round(9)
     step_m = 0.05 + 0.175 * difficulty
     if choice < ends[1]:
-        # Pits in the first half of a type's columns, pyramids in the second.
+        # The first half of the columns of a type are pits, the second half pyramids.
         rough = choice >= ends[0]
         half = round((ends[0] + ends[1]) / 2 if rough else ends[0] / 2, 9)
         slope = 0.4 * difficulty
@@ -307,10 +270,10 @@ def _obstacles(size: Size, rng: np.random.Generator, max_height_m: float) -> Sam
 
 
 def add_height_field(spec: mujoco.MjSpec, terrain: Terrain) -> None:
-    """Make the geom `floor` of a model the ground, one height field for all environments."""
+    """Replace the geom `floor` by the ground, one height field for all environments."""
     heights = terrain.samples * VERTICAL_M
     lowest, highest = float(heights.min()), float(heights.max())
-    # MuJoCo's rows run along y, and its samples are shares of the elevation.
+    # MuJoCo's rows run along y, and its samples are relative to the elevation.
     num_x, num_y = heights.shape
     half_x, half_y = (num_x - 1) * HORIZONTAL_M / 2, (num_y - 1) * HORIZONTAL_M / 2
     spec.add_hfield(
@@ -325,3 +288,71 @@ def add_height_field(spec: mujoco.MjSpec, terrain: Terrain) -> None:
     floor.hfieldname = "terrain"
     floor.size = (0.0, 0.0, 0.0)
     floor.pos = (half_x - terrain.border_m, half_y - terrain.border_m, lowest)
+
+
+def next_levels(
+    levels: Tensor,
+    distances_m: Tensor,
+    commanded_m: Tensor,
+    tile_length_m: float,
+    num_levels: int,
+) -> Tensor:
+    """Return the levels (n,) after an episode, as in IsaacGymEnvs.
+
+    A robot that went farther than half a tile moves up. A robot that covered less than a quarter of
+    the commanded distance moves down. If both hold, it stays. Level 0 is the lowest, and level 0
+    follows the last level.
+
+    `distances_m` (n,) are measured over the ground from the middle of the tile. `commanded_m` (n,)
+    is the commanded speed times the episode length.
+    """
+    up = (distances_m > tile_length_m / 2.0).long()
+    down = (distances_m < _DEMOTED_SHARE * commanded_m).long()
+    return (levels + up - down).clamp(min=0) % num_levels
+
+
+class Curriculum(Stateful):
+    """Levels and types (N,) int64 of the tiles of N robots.
+
+    With `demotionAsPublished`, each robot's distance is compared with the norm of the commands of
+    all robots that start at the same time, as in IsaacGymEnvs. More robots then go back a level.
+    """
+
+    stored = ("levels", "types")
+
+    def __init__(
+        self, cfg: TerrainConfig, terrain: Terrain, num_envs: int, device: torch.device
+    ) -> None:
+        self._cfg = cfg
+        self._origins = torch.from_numpy(terrain.origins).float().to(device)
+        num_levels, num_types = self._origins.shape[:2]
+        # All levels are equally hard without a curriculum.
+        highest = cfg.max_init_level if cfg.curriculum else num_levels - 1
+        highest = min(highest, num_levels - 1)
+        self.levels = torch.randint(highest + 1, (num_envs,), device=device)
+        self.types = torch.randint(num_types, (num_envs,), device=device)
+
+    def origins(self, env_ids: Tensor) -> Tensor:
+        """Return the middles (n, 3) of the tiles of environments (n,) (m)."""
+        return self._origins[self.levels[env_ids], self.types[env_ids]]
+
+    def update(
+        self, env_ids: Tensor, root_pos: Tensor, command: Tensor, episode_length_s: float
+    ) -> None:
+        """Move robots (n,) whose episode ended to their next level.
+
+        `root_pos` (n, 3) is in m, `command` (n, 2) is the commanded velocity (m/s), and
+        `episode_length_s` is the duration of the longest episode.
+        """
+        if not self._cfg.curriculum or len(env_ids) == 0:
+            return
+        distances = (root_pos - self.origins(env_ids))[:, :2].norm(dim=-1)
+        speeds = command.norm(dim=None if self._cfg.demotion_as_published else -1)
+        levels = next_levels(
+            self.levels[env_ids],
+            distances,
+            speeds * episode_length_s,
+            self._cfg.length_m,
+            len(self._origins),
+        )
+        self.levels.index_copy_(0, env_ids, levels)

@@ -8,7 +8,7 @@ import yaml
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.schema import read_section
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPConfig
 from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS, read_sim_config
 
 

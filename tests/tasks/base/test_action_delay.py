@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from isaacgymenvs_lite.tasks.base.history import ActionDelay
+from isaacgymenvs_lite.tasks.amp.deployable_observations import ActionDelay
 
 
 def test_each_episode_has_a_delay_of_its_own():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from isaacgymenvs_lite.tasks.base.history import push_newest
+from isaacgymenvs_lite.tasks.amp.deployable_observations import push_newest
 
 
 def test_the_newest_frame_comes_first():

@@ -6,8 +6,13 @@ import numpy as np
 import torch
 
 from isaacgymenvs_lite.schema import read_section
-from isaacgymenvs_lite.tasks.terrain.curriculum import Curriculum, next_levels
-from isaacgymenvs_lite.tasks.terrain.grid import Terrain, TerrainConfig, make_terrain
+from isaacgymenvs_lite.tasks.terrain.grid import (
+    Curriculum,
+    Terrain,
+    TerrainConfig,
+    make_terrain,
+    next_levels,
+)
 
 CPU = torch.device("cpu")
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+from isaacgymenvs_lite.tasks.anymal_terrain_terms import NUM_POINTS, HeightScan, scan_points
 from isaacgymenvs_lite.tasks.terrain.grid import Terrain
-from isaacgymenvs_lite.tasks.terrain.height_scan import NUM_POINTS, HeightScan, scan_points
 from isaacgymenvs_lite.utils.rotations import quat_from_euler_xyz
 
 CPU = torch.device("cpu")
