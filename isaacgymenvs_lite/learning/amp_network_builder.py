@@ -23,20 +23,12 @@ DEFAULT_INITIALIZER = {"name": "default"}
 class AMPBuilder(A2CBuilder):
     """Builds the network of the section `network:` with `name: amp`.
 
-    Parameters have the names of IsaacGymEnvs, so that its checkpoints load:
-    `sigma, actor_mlp, critic_mlp, value, mu, _disc_mlp, _disc_logits`.
+    Parameters have IsaacGymEnvs' names, and its checkpoints load: `sigma, actor_mlp, critic_mlp,
+    value, mu, _disc_mlp, _disc_logits`.
     """
 
     class Network(DiscriminatorLayers, ActorCriticNetwork):
-        """Actor, critic and discriminator.
-
-        Args:
-            params: the section `network:`.
-            kwargs: rl_games' build arguments and `amp_input_shape`, (F,).
-
-        Raises:
-            ConfigError: recurrent or convolutional networks, or no section `disc:`.
-        """
+        """Actor, critic and discriminator for AMP observations of shape `amp_input_shape`."""
 
         row_functions = (
             *ActorCriticNetwork.row_functions,
@@ -50,7 +42,7 @@ class AMPBuilder(A2CBuilder):
             self._build_disc(amp_input_shape)
 
         def load(self, params: dict[str, Any]) -> None:
-            """Read the section `network:`; rl_games calls this before the layers are built."""
+            """Read the section `network:` before the layers are built."""
             super().load(params)
             if "disc" not in params:
                 raise ConfigError(
@@ -63,7 +55,7 @@ class AMPBuilder(A2CBuilder):
             self._disc_initializer = disc.get("initializer", DEFAULT_INITIALIZER)
 
         def _build_disc(self, input_shape: tuple[int, ...]) -> None:
-            """Build the discriminator's layers, for inputs (n, input_shape[0])."""
+            """Build the discriminator's layers for inputs (n, input_shape[0])."""
             if len(self._disc_units) == 0:
                 raise ConfigError(
                     "train.params.network.disc.units=[]: expected at least one hidden layer"
@@ -80,7 +72,7 @@ class AMPBuilder(A2CBuilder):
             activation: str,
             initializer: dict[str, Any],
         ) -> nn.Module:
-            """Return initialised layers with the activation behind each."""
+            """Return initialised layers, each followed by the activation."""
             layers = self._build_mlp(
                 input_size=inputs,
                 units=list(units),
@@ -91,7 +83,7 @@ class AMPBuilder(A2CBuilder):
             return layers
 
         def _init_linear(self, module: nn.Module, initializer: dict[str, Any]) -> None:
-            """Initialise linear layers, their biases with zeros."""
+            """Initialise linear layers, with zero biases."""
             init = self.init_factory.create(**initializer)
             for layer in module.modules():
                 if isinstance(layer, nn.Linear):
@@ -99,5 +91,5 @@ class AMPBuilder(A2CBuilder):
                     nn.init.zeros_(layer.bias)
 
     def build(self, name: str, **kwargs: Any) -> AMPBuilder.Network:
-        """Build the network; rl_games calls this through the model."""
+        """Build the network."""
         return AMPBuilder.Network(self.params, **kwargs)

@@ -1,4 +1,4 @@
-"""Plays a hierarchy: the high-level policy chooses latents for the frozen low level."""
+"""The player of hierarchies: a high-level policy chooses latents for the frozen low level."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from isaacgymenvs_lite.learning.skills.latents import latent_space
 
 
 class HRLPlayer(OverLowLevel, CommonPlayer):
-    """The player of `hrl` and `hrl_continuous`; the reward that it reports is the task's."""
+    """The player of `hrl` and `hrl_continuous`, which reports the task's reward."""
 
     def __init__(self, params: dict[str, Any]) -> None:
         self._section = params
@@ -35,7 +35,7 @@ class HRLPlayer(OverLowLevel, CommonPlayer):
         super()._setup_action_space()
 
     def restore(self, fn: str) -> dict[str, Any]:
-        """Load the high level from a checkpoint; see `RestoringPlayer.restore`."""
+        """Load the high-level policy from a checkpoint, and return its entries."""
         state = super().restore(fn)
         warn_of_another_llc(state, self.llc.reference, fn)
         return state

@@ -1,7 +1,7 @@
-"""Explains methods and attributes of IsaacGymEnvs' and ASE's agents that are not here.
+"""Explains published methods and attributes of IsaacGymEnvs' and ASE's agents that are absent here.
 
-A subclass that overrides a method which nothing calls here would silently train without it: its
-definition raises an error. docs/migration.md lists all published names.
+A subclass that overrides a method which nothing calls would silently train without it; its class
+statement raises an error instead. docs/migration.md lists all published names.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _BUILD_LLC = "_build_llc(params) returns the LowLevelPolicy of the keys llc_conf
 _LLC_SIZES = "_build_llc_agent_config() returns the LowLevelSizes of the task"
 _NO_COLOUR = "viewers here do not colour characters by their latents"
 
-# Published name -> what to use instead. `name(argument)` is a method with such an argument.
+# Published name -> replacement. `name(argument)` is a method with this argument.
 AGENT_NAMES = {
     "_amp_debug()": "_record_step(n, infos) gets infos['amp_obs'] of each step",
     "_build_llc(config_params)": _BUILD_LLC,
@@ -69,7 +69,7 @@ NETWORK_NAMES = {
 
 
 class PublishedNames:
-    """Mixin for classes that people subclass: refuses overrides that nothing calls here."""
+    """Mixin for classes with user subclasses: refuses overrides that nothing calls."""
 
     replaced: ClassVar[dict[str, str]] = {}
 
@@ -89,7 +89,7 @@ class PublishedNames:
         for published, instead in cls.replaced.items():
             name, _, argument = published.removesuffix(")").partition("(")
             method = defined.get(name)
-            # A loop of one's own (`run`) calls what it likes.
+            # A subclass with its own loop (`run`) may call any method.
             if not inspect.isfunction(method) or name in called or "run" in defined:
                 continue
             if not argument or argument in inspect.signature(method).parameters:
@@ -104,7 +104,7 @@ class PublishedNames:
 
 
 class ExplainedNames(PublishedNames):
-    """Mixin for agents and players: its AttributeError names where a published attribute is."""
+    """Mixin of agents and players: AttributeErrors name the replacement of a published name."""
 
     def __getattr__(self, name: str) -> Any:
         instead = self.replaced.get(name) or self.replaced.get(f"{name}()")
@@ -116,11 +116,11 @@ class ExplainedNames(PublishedNames):
 
 
 class ReadOnly:
-    """A published attribute whose value is stored elsewhere here.
+    """A published attribute whose value is stored under another name.
 
     Args:
-        path: where, relative to the object: `_amp.disc_coef`.
-        set_by: what sets the value; by default the key of this name.
+        path: path of the value, relative to the object: `_amp.disc_coef`.
+        set_by: source of the value; by default the key of the same name.
     """
 
     def __init__(self, path: str, set_by: str = "") -> None:
@@ -137,7 +137,7 @@ class ReadOnly:
         raise OverrideError(self.refusal(type(instance)))
 
     def refusal(self, cls: type) -> str:
-        """Return the message for an attempt to set it in a class or an object."""
+        """Return the message for an attempt to set the attribute."""
         return f"{cls.__name__}.{self._name} can only be read; its value comes from {self.set_by}"
 
 
@@ -147,7 +147,7 @@ def is_overridden(instance: Any, method: Callable[..., Any]) -> bool:
 
 
 def accepts(function: Callable[..., Any], num_arguments: int) -> bool:
-    """Return whether a function may be called with so many positional arguments."""
+    """Return whether a function can be called with this number of positional arguments."""
     try:
         inspect.signature(function).bind(*range(num_arguments))
     except TypeError:
