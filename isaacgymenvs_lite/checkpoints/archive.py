@@ -23,9 +23,8 @@ class ArchiveError(ValueError):
 def read_archive(path: Path) -> Any:
     """Return the content of a file of `torch.save`, on the CPU.
 
-    Returns:
-        Dictionaries, lists, tuples, str, int, float, bool, None and dense tensors with their own
-        memory. Scalars of numpy become Python numbers.
+    It consists of dictionaries, lists, tuples, str, int, float, bool, None and dense tensors with
+    their own memory. Scalars of numpy become Python numbers.
 
     Raises:
         ArchiveError: the file is damaged, or refers to anything else; no code was run.

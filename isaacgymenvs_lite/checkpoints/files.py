@@ -31,7 +31,7 @@ from isaacgymenvs_lite.utils.files import atomic_write
 log = logging.getLogger(__name__)
 
 LLC_KEY = "llc"
-"""Entry of a high level's checkpoint for the low level of its training."""
+"""Key of a checkpoint's entry that names the low-level controller of its training."""
 
 _LLC_ENTRIES = ("checkpoint", "fingerprint")
 _COMPILED_PREFIX = "_orig_mod."
@@ -42,7 +42,7 @@ _SAC_KEYS = {"actor", "critic"}
 # Entries that hold tensors by name.
 _STATE_DICTS = (
     *("model", "actor", "critic", "critic_target", "assymetric_vf_nets"),
-    *(*_OLD_NORMALIZERS, "amp_input_mean_std", "advantage_mean_std"),
+    *(*_OLD_NORMALIZERS, "amp_input_mean_std"),
 )
 _MAX_SHOWN = 80
 
@@ -223,10 +223,7 @@ def fit_optimizer_state(
 
     A checkpoint of IsaacGymEnvs has one group, in the order of the model's parameters. An agent
     with `disc_learning_rate` has two groups. torch counts the parameters group by group; the states
-    are therefore renumbered.
-
-    Raises:
-        CheckpointError: the state has several groups, and not as many as the optimiser.
+    are therefore renumbered. Another number of groups raises CheckpointError.
     """
     groups = state["param_groups"]
     if len(groups) == len(optimizer.param_groups):
@@ -266,13 +263,9 @@ def resolve_checkpoint(
 ) -> str:
     """Return the path that the key `checkpoint` means.
 
-    Args:
-        checkpoint: '' (none), a path, a shipped policy's name, or `last`: the newest checkpoint of
-            the task's runs, including rescued ones.
-        train_dir: folder of the run folders.
-        task_name: task of the runs that `last` searches; '' searches all.
-        network_name: network of these runs; '' searches all. It tells the levels of a hierarchy
-            apart, which have one task.
+    `checkpoint` is '' (none), a path, a shipped policy's name, or `last`: the newest checkpoint in
+    `train_dir`, including rescued ones. `last` searches runs with this task and network ('' is
+    any). The network tells the levels of a hierarchy apart, which have one task.
 
     Raises:
         CheckpointError: there is no such file.

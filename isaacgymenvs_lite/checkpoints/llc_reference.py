@@ -53,11 +53,8 @@ def llc_checkpoint_for(llc_checkpoint: str | None, params: Mapping[str, Any]) ->
     """Return the low-level controller of a training or a play: a path or a shipped name.
 
     The key `llc_checkpoint` decides. If it is None or '', the loaded checkpoint's entry decides.
-    Without an entry None means the shipped low level, and '' stays ''.
-
-    Args:
-        llc_checkpoint: value of the key.
-        params: the section `params` of the train file.
+    Without an entry None means the shipped low level, and '' stays ''. `params` is the section of
+    the train file.
     """
     if llc_checkpoint:
         return llc_checkpoint

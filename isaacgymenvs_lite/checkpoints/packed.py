@@ -26,11 +26,7 @@ from isaacgymenvs_lite.checkpoints.run_config import (
     units_of_model,
 )
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, MotionFileError
-from isaacgymenvs_lite.motion.formats.deepmimic import (
-    PREFIX,
-    find_in_package,
-    is_package_name,
-)
+from isaacgymenvs_lite.motion.formats.deepmimic import PREFIX, find_in_package, is_package_name
 from isaacgymenvs_lite.motion.loader import (
     shipped_motions,
     shipped_motions_dir,
@@ -48,7 +44,7 @@ POLICY_KEY = "policy"
 _PLAYED = ("model", "amp_input_mean_std", "env_state")
 _CONFIG = "train.params.config"
 _CLIP = "task.env.motion_file"
-# Sections and keys whose values a policy needs from its training.
+# A play needs the values of these sections and keys from the training.
 _NEEDED = (
     *("task.env", "task.sim"),
     *(f"train.params.{section}" for section in ("algo", "model", "network")),
@@ -59,13 +55,13 @@ _NEEDED = (
     # A shipped low level holds its settings, so llc_config is not needed.
     f"{_CONFIG}.llc_steps",
 )
-# Keys in these sections that only a training reads, or that have no effect.
+# A play does not need these keys of the sections above.
 _NOT_NEEDED = (
     *("task.env.numEnvs", "task.env.episodeLength", "task.env.envSpacing"),
     *("task.env.cameraFollow", "task.env.enableDebugVis"),
     *("task.sim.use_gpu_pipeline", "task.sim.physx"),
 )
-# Settings of the training that have no meaning elsewhere.
+# These settings have no meaning on another machine.
 _NOT_RECORDED = ("name", "full_experiment_name", "train_dir", "print_stats", "multi_gpu")
 
 
@@ -108,11 +104,7 @@ class PolicyInfo:
 
 
 def read_policy_info(path: Path) -> PolicyInfo:
-    """Read the `PolicyInfo` of a packed policy.
-
-    Raises:
-        CheckpointError: the file cannot be read or is no packed policy.
-    """
+    """Read the `PolicyInfo` of a packed policy; CheckpointError if the file is none."""
     info = load_checkpoint(path).get(POLICY_KEY)
     names = {field.name for field in dataclasses.fields(PolicyInfo)}
     if not isinstance(info, Mapping) or set(info) != names:
@@ -135,9 +127,6 @@ def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) ->
     """Return the section `params` of a train file with a packed policy's own settings.
 
     For the `state` of any other checkpoint `params` is returned unchanged.
-
-    Raises:
-        CheckpointError: the policy's settings contradict each other.
     """
     params = copy.deepcopy(dict(params))
     if POLICY_KEY not in state:

@@ -60,10 +60,8 @@ def read_run_config(
     The default networks depend on the device, and this machine may have another one. The kind of
     device is inferred from the model's layers; if none matches, it is the CPU.
 
-    Args:
-        file: config.yaml of a run folder.
-        model: parameters by name; empty if they are not known.
-        to_play: resolve values for a play (`test=True`) instead of a training.
+    `model` holds parameters by name, or nothing. `to_play` resolves values for a play
+    (`test=True`).
     """
     register_resolvers()
     stored = read_yaml(file)
@@ -84,12 +82,8 @@ def read_run_config(
 def resumed_tree(words: Sequence[str]) -> DictConfig:
     """Return the tree of a resumed run: its own settings, changed by the user's arguments.
 
-    Args:
-        words: `resume=last`, `resume=FOLDER` or `resume=FILE`, and settings that change. `task=`
-            and `train=` choose the runs that `last` searches.
-
-    Returns:
-        The tree, whose `resume` is the path of the file to continue from.
+    `words` are `resume=last`, `resume=FOLDER` or `resume=FILE`, and settings that change. `task=`
+    and `train=` choose the runs that `last` searches. The tree's `resume` is a file.
     """
     given = {word.partition("=")[0].lstrip("+"): word for word in words}
     for word in words:

@@ -123,13 +123,8 @@ def _files_of(path: Path, rank: int) -> tuple[Path, Path]:
 def read_training_state(path: Path, rank: int = 0, num_processes: int = 1) -> TrainingState:
     """Return the content of a file: a training state, or a plain checkpoint.
 
-    Args:
-        path: file of the main process.
-        rank: rank of this process, which reads its own files in the same folder.
-        num_processes: current number of processes.
-
-    Raises:
-        CheckpointError: the file is missing or damaged, or no checkpoint.
+    `path` is the main process' file; a process of another `rank` reads its own file beside it.
+    Raises CheckpointError if a file is missing or damaged.
     """
     checkpoint = load_checkpoint(path)
     entry = checkpoint.pop(KEY, None)
@@ -174,10 +169,7 @@ def _read_archive(file: Path, hint: str) -> dict[str, Any]:
 def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path:
     """Return the file that the key `resume` means: `last`, a run folder, or a file in one.
 
-    Args:
-        resume: value of the key.
-        train_dir: folder of the runs that `last` searches.
-        wanted: values in config.yaml of these runs, by their paths.
+    `last` searches the runs in `train_dir` whose config.yaml has the `wanted` values by path.
     """
     given = user_path(resume)
     if resume == "last":

@@ -62,9 +62,8 @@ class AMPParams:
     """New here: prediction loss of the discriminator; least_squares is the AMP paper's."""
     disc_input_noise: float = setting(0.0, minimum=0)
     """New here: standard deviation of noise on the discriminator's normalised training inputs. It
-    hides the jitter of exploration, by which the discriminator would tell policy and clips apart
-    (instance
-    noise: Arjovsky and Bottou 2017, arXiv 1701.04862)."""
+    hides the jitter of exploration, which would tell the policy from the clips (instance noise:
+    Arjovsky and Bottou 2017, arXiv 1701.04862)."""
     warm_start_steps: int = setting(0, minimum=0, maximum=100_000)
     """New here: number of gradient steps before the first epoch that train the mean action to
     follow the reference motions; see `warm_start`."""

@@ -32,11 +32,7 @@ from isaacgymenvs_lite.learning.modules.discriminator import (
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.restoring import Parts
-from isaacgymenvs_lite.learning.warm_start import (
-    NUM_SAMPLES,
-    actor_parameters,
-    clone_actions,
-)
+from isaacgymenvs_lite.learning.warm_start import NUM_SAMPLES, actor_parameters, clone_actions
 
 log = logging.getLogger(__name__)
 
@@ -111,15 +107,12 @@ class AMPAgent(StyleLosses, CommonAgent):
         if self._max_episode_steps is None and self._amp.disc_grad_penalty_final is not None:
             log.info("disc_grad_penalty is constant: the task has no max_episode_length")
         self._amp_obs_size = disc_obs_size(AMPObsShape.from_task(self._env), self._amp)
-        # Whether some environments act without exploration noise.
+        # If this is True, some environments act without exploration noise.
         self._masks_exploration = self._amp.enable_eps_greedy
         self._amp_minibatch_size = min(self._amp.amp_minibatch_size, self.minibatch_size)
 
     def _build_net_config(self) -> dict[str, Any]:
-        return {
-            **super()._build_net_config(),
-            "amp_input_shape": (self._amp_obs_size,),
-        }
+        return {**super()._build_net_config(), "amp_input_shape": (self._amp_obs_size,)}
 
     def _build_modules(self) -> None:
         super()._build_modules()

@@ -30,11 +30,7 @@ class AMPBuilder(A2CBuilder):
     class Network(DiscriminatorLayers, ActorCriticNetwork):
         """Actor, critic and discriminator for AMP observations of shape `amp_input_shape`."""
 
-        row_functions = (
-            *ActorCriticNetwork.row_functions,
-            "eval_disc",
-            "eval_disc_with_gradient",
-        )
+        row_functions = (*ActorCriticNetwork.row_functions, "eval_disc", "eval_disc_with_gradient")
 
         def __init__(self, params: dict[str, Any], **kwargs: Any) -> None:
             amp_input_shape = kwargs.pop("amp_input_shape")
@@ -56,28 +52,25 @@ class AMPBuilder(A2CBuilder):
 
         def _build_disc(self, input_shape: tuple[int, ...]) -> None:
             """Build the discriminator's layers for inputs (n, input_shape[0])."""
-            if len(self._disc_units) == 0:
-                raise ConfigError(
-                    "train.params.network.disc.units=[]: expected at least one hidden layer"
-                )
-            hidden = self._hidden_layers(
-                input_shape[0], self._disc_units, self._disc_activation, self._disc_initializer
-            )
-            self._set_disc_layers(hidden, self._disc_units[-1])
+            units, activation = self._disc_units, self._disc_activation
+            how = (units, activation, self._disc_initializer)
+            self._set_disc_layers(self._hidden_layers("disc", input_shape[0], *how), units[-1])
 
         def _hidden_layers(
             self,
+            section: str,
             inputs: int,
             units: Sequence[int],
             activation: str,
             initializer: dict[str, Any],
         ) -> nn.Module:
-            """Return initialised layers, each followed by the activation."""
+            """Return a section's initialised layers, each followed by the activation."""
+            if not units:
+                raise ConfigError(
+                    f"train.params.network.{section}.units=[]: expected at least one hidden layer"
+                )
             layers = self._build_mlp(
-                input_size=inputs,
-                units=list(units),
-                activation=activation,
-                dense_func=nn.Linear,
+                input_size=inputs, units=list(units), activation=activation, dense_func=nn.Linear
             )
             self._init_linear(layers, initializer)
             return layers

@@ -28,11 +28,7 @@ from isaacgymenvs_lite.learning.modules.running_mean_std import (
     count_in_jointly,
     normalize_advantages,
 )
-from isaacgymenvs_lite.learning.published_names import (
-    AGENT_NAMES,
-    ExplainedNames,
-    is_overridden,
-)
+from isaacgymenvs_lite.learning.published_names import AGENT_NAMES, ExplainedNames
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards, leave_out_nccl
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
@@ -44,8 +40,8 @@ and is logged under its name; a weight of 0 only logs the term."""
 class CommonAgent(ExplainedNames, PPOSafeguards):
     """PPO that resets ended episodes before it acts, and bootstraps with the value after each step.
 
-    Methods that the agents of IsaacGymEnvs or ASE also have keep their names and arguments.
-    docs/amp.md lists the differences from rl_games.
+    Its methods keep the names and arguments of IsaacGymEnvs' and ASE's agents. docs/amp.md lists
+    the differences from rl_games.
 
     Attributes:
         scalars: name of a collected scalar -> its tag in TensorBoard.
@@ -62,9 +58,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     replaced: ClassVar[dict[str, str]] = AGENT_NAMES
     scalars: ClassVar[dict[str, str]] = {"actor_clip_frac": "info/clip_frac"}
-    unsupported_keys: ClassVar[tuple[str, ...]] = (
-        *("normalize_rms_advantage", "self_play_config", "use_action_masks"),
-    )
+    unsupported_keys: ClassVar[tuple[str, ...]] = ("self_play_config",)
     control_steps_per_action = 1
     has_restored = False
     stored_episodes = ("dataset",)
@@ -120,7 +114,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self._rollout_rewards: dict[str, Tensor] = {}
         self._mask = RolloutMask(self.horizon_length)
         # A policy call returns the model's values; a subclass may have a critic of its own.
-        self._has_own_critic = is_overridden(self, CommonAgent._eval_critic)
+        self._has_own_critic = type(self)._eval_critic is not CommonAgent._eval_critic
         self._restored_best: float | None = None
         self.algo_observer.after_init(self)
 
@@ -152,7 +146,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
                 self.central_value_net = _make_central_value(self)
         self.model.to(self.ppo_device)
         self.executor = take_models(self, self.ppo_device, mixed_precision)
-        # With an asymmetric critic rl_games may also train the network's own critic.
+        # rl_games may train the network's own critic in addition to an asymmetric critic.
         own_learns = bool(self.config.get("use_experimental_cv", True))
         self.has_value_loss = own_learns or not self.has_central_value
         self.states = None
@@ -161,7 +155,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             raise ConfigError("train.params.network.rnn is not supported by AMP-family agents")
 
     def _build_modules(self) -> None:
-        """Build the modules that an agent needs in addition to the model, which exists."""
+        """Build an agent's own modules; the model already exists."""
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
         """Return Adam's parameter groups; the learning rate's schedule changes the first only."""
@@ -241,8 +235,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         )
 
     # --- rollout ---------------------------------------------------------------------------
-    # V(s') of every step costs at most one call of the critic per rollout. Where an episode
-    # continues, the policy call of the next step evaluates the same observation.
+    # V(s') of every step costs at most one call of the critic per rollout. The policy call of the
+    # next step already evaluates the same observation where the episode continues.
 
     def play_steps(self) -> dict[str, Any]:
         """Roll the policy out for `horizon_length` steps; row e * H + t is environment e at t."""
@@ -467,7 +461,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return kls
 
     def _after_update(self, batch_dict: dict[str, Any]) -> None:
-        """Use the rollout's rows after the last minibatch."""
+        """Process the rollout's rows after the last minibatch."""
 
     # --- gradient step ---------------------------------------------------------------------
 
@@ -558,10 +552,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         terms = {
             "actor_loss": (1.0, weighted_mean(actor["actor_loss"], minibatch)),
             "critic_loss": (self.critic_coef, critic["critic_loss"].mean()),
-            "b_loss": (
-                self.bounds_loss_coef or 0.0,
-                weighted_mean(self.bound_loss(mu), minibatch),
-            ),
+            "b_loss": (self.bounds_loss_coef or 0.0, weighted_mean(self.bound_loss(mu), minibatch)),
             "entropy": (-self.entropy_coef, weighted_mean(result["entropy"], minibatch)),
             **self._extra_losses(result, batch, minibatch),
         }
@@ -636,7 +627,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def _extra_losses(
         self, result: dict[str, Tensor], batch: dict[str, Any], input_dict: dict[str, Tensor]
     ) -> LossTerms:
-        """Return an agent's own loss terms, given the model's outputs and inputs and the rows."""
+        """Return an agent's own loss terms for a slice, given the model's outputs and inputs."""
         return {}
 
     # --- learning rate ---------------------------------------------------------------------

@@ -55,18 +55,15 @@ class CommonPlayer(ExplainedNames, EpisodePlayer, RestoringPlayer, PpoPlayerCont
     `deterministic` (default True: mean actions), `record` (a .npz file for the first episode of
     environment 0 as a motion clip).
 
-    Attributes:
-        is_latent_conditioned: whether its policies act under skill latents.
-
     Raises:
-        ConfigError: a latent is given for a policy without this input.
-        OverrideError: a subclass overrides a method that nothing calls here. The class statement
-            raises it.
+        ConfigError: a latent is given for a policy without skill latents.
+        OverrideError: a subclass overrides a method that nothing calls here.
     """
 
     replaced: ClassVar[dict[str, str]] = PLAYER_NAMES
 
     is_latent_conditioned: ClassVar[bool] = False
+    """Whether the policies act under skill latents."""
 
     def __init__(self, params: dict[str, Any]) -> None:
         # PpoPlayerContinuous' own constructor would build the model before its inputs are known.

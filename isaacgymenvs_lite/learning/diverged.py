@@ -96,7 +96,7 @@ class EpisodeMeters:
             self._meters.append(meter)
 
     def leave_out(self, diverged: Tensor | None, dones: Tensor) -> None:
-        """Leave out diverged episodes, (N,) bool or None, where episodes end, dones (N,)."""
+        """Leave out episodes that diverged, (N,) bool or None, and end in this step, dones (N,)."""
         left_out = None if diverged is None else diverged[dones.bool()]
         for meter in self._meters:
             meter.left_out = left_out

@@ -28,7 +28,7 @@ from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 from isaacgymenvs_lite.learning.common_agent import LossTerms, weighted_mean
 from isaacgymenvs_lite.learning.modules.skill_encoder import SkillEncoder, SkillRewards
-from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts, is_overridden
+from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.skills.latents import (
     ClipLatents,
     EvaluationLatents,
@@ -121,7 +121,8 @@ class GenAMPAgent(SkillRewards, AMPAgent):
                 " train.params.network.disc.conditional=True"
             )
         self._needs_pairs = self._amp.encodes_clips or self._disc_is_conditional
-        if self._needs_pairs and is_overridden(self, AMPAgent._fetch_amp_obs_demo):
+        fetch = type(self)._fetch_amp_obs_demo
+        if self._needs_pairs and fetch is not AMPAgent._fetch_amp_obs_demo:
             raise OverrideError(
                 f"{type(self).__name__}._fetch_amp_obs_demo: with enc_alignment_coef,"
                 " enc_uniformity_coef or disc.conditional demonstrations come in pairs; override"
@@ -157,7 +158,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         self._amp_obs_demo_buffer.store({"amp_obs": at, "amp_obs_near": near})
 
     def _fetch_amp_obs_demo_pairs(self, num_samples: int) -> Tensor:
-        """Return AMP observations (n, 2, F) of pairs of moments of the reference motions."""
+        """Return AMP observations (n, 2, F), each pair from two moments of a reference motion."""
         return self._clips.fetch_amp_obs_demo_pairs(num_samples)
 
     def _fetch_tracking_demo(self) -> TrackingDemo | None:
@@ -202,7 +203,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
             self._keeping.keep_to_clips(env_ids[of_starts])
 
     def _update_latents(self) -> None:
-        """Replace latents at the end of their time, before each policy step."""
+        """Replace expired latents before a policy step."""
         changed = self.schedule.advance(self._progress())
         if self._keeping is not None:
             self._keeping.leave_clips(changed)
@@ -247,11 +248,10 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     def _draw_disc_rows(self, batch_dict: dict[str, Any]) -> None:
         """Add demonstrations and replayed rows, with latents for a conditional discriminator.
 
-        A demonstration has the latent of another moment of its clip. With the latent of the same
-        moment the discriminator could match its inputs. `disc_mismatched_demos` replaces some
-        replayed rows by
-        demonstrations under wrong latents: a good motion under a wrong latent counts as fake (Reed
-        et al. 2016, "Generative Adversarial Text to Image Synthesis", algorithm 1).
+        A demonstration has the latent of another moment of its clip, because the discriminator
+        could match inputs with the latent of the same moment. `disc_mismatched_demos` replaces some
+        replayed rows by demonstrations under wrong latents, which count as fake (Reed et al. 2016,
+        "Generative Adversarial Text to Image Synthesis", algorithm 1).
         """
         if not self._disc_is_conditional:
             super()._draw_disc_rows(batch_dict)
@@ -272,7 +272,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if self._amp_replay_buffer.get_total_count() > 0:
             fakes = self._amp_replay_buffer.sample(num_rows)
         num = round(self._amp.disc_mismatched_demos * num_rows)
-        # Rows are in random order: the row before is a random other row.
+        # Rows are in random order, and the previous row is any other row.
         mismatched = {"amp_obs": demos, "amp_obs_latents": latents.roll(1, dims=0)}
         for name, rows in mismatched.items():
             mixed = torch.cat((rows[:num], fakes[name][num:]))
@@ -311,7 +311,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         """Return normalised AMP observations (n, 3, F): two near moments of a clip, another row."""
         demos = self._amp_obs_demo_buffer.sample(max(1, self._amp_minibatch_size // 2))
         pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
-        # Rows are in random order: the row before is a random other row.
+        # Rows are in random order, and the previous row is any other row.
         others = pairs[:, :1].roll(1, dims=0)
         return self._preproc_amp_obs(torch.cat((pairs, others), dim=1))
 

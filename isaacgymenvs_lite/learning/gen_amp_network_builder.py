@@ -21,7 +21,7 @@ from isaacgymenvs_lite.learning.published_names import NETWORK_NAMES, PublishedN
 from isaacgymenvs_lite.learning.skills.latents import sample_latents
 
 _STYLE_UNITS = (512, 256)
-# As in ASE, styles start spread over tanh's range, and the encoder near one point of the sphere.
+# Styles start spread over tanh's range, and the encoder near one point of the sphere (as in ASE).
 _STYLE_INIT_SCALE = 1.0
 ENC_LOGIT_INIT_SCALE = 0.1
 
@@ -88,15 +88,15 @@ class GenAMPBuilder(AMPBuilder):
         """Actor, critic, discriminator and encoder.
 
         Args:
-            params: the section `network:`. With `enc.separate` False the encoder shares the
-                discriminator's layers, and `enc.units` is ignored. Three keys are new here:
-                `style.units`, layers over the latent (default: ASE's [512, 256]); `latent_scale`,
-                length of the latents as inputs of the networks (default 1); and `disc.conditional`
-                (default False), which makes the latent an input of the discriminator. A conditional
-                discriminator judges whether the motion shows this skill (CALM, Tessler et al. 2023,
-                arXiv 2305.02195, section 4.2).
+            params: the section `network:`. The encoder shares the discriminator's layers, and
+                `enc.units` is ignored, if `enc.separate` is False. Three keys are new here.
+                `style.units` are the layers over the latent (default: ASE's [512, 256]).
+                `latent_scale` is the length of the networks' latents (default 1).
+                `disc.conditional` makes the latent an input of the discriminator, which then judges
+                whether the motion shows this skill (CALM, Tessler et al. 2023, arXiv 2305.02195,
+                section 4.2).
             kwargs: AMPBuilder's arguments, and `amp_latent_shape` (or ASE's `ase_latent_shape`),
-                (Z,).
+                (Z,). (Z,).
 
         Attributes:
             disc_is_conditional: whether `eval_disc` takes latents.
@@ -145,22 +145,18 @@ class GenAMPBuilder(AMPBuilder):
             mlp = params["mlp"]
             how = (mlp["activation"], mlp.get("initializer", DEFAULT_INITIALIZER))
             style_units = list(params.get("style", {}).get("units", _STYLE_UNITS))
-            for key, units in (("mlp", mlp["units"]), ("style", style_units)):
-                if len(units) == 0:
-                    raise ConfigError(
-                        f"train.params.network.{key}.units=[]: expected at least one hidden layer"
-                    )
+
             self.actor_mlp = StyleMLP(
                 obs_size,
                 self._latent_dim,
                 mlp["units"],
                 style_units,
-                self._hidden_layers(self._latent_dim, style_units, *how),
+                self._hidden_layers("style", self._latent_dim, style_units, *how),
                 self.activations_factory.create(mlp["activation"]),
             )
             self._init_linear(self.actor_mlp, how[1])
             self.critic_mlp = LatentMLP(
-                self._hidden_layers(obs_size + self._latent_dim, mlp["units"], *how)
+                self._hidden_layers("mlp", obs_size + self._latent_dim, mlp["units"], *how)
             )
             style_dense = self.actor_mlp._style_dense
             nn.init.uniform_(style_dense.weight, -_STYLE_INIT_SCALE, _STYLE_INIT_SCALE)
@@ -179,9 +175,8 @@ class GenAMPBuilder(AMPBuilder):
         def _build_enc(self, input_shape: tuple[int, ...]) -> None:
             """Build the encoder's layers for inputs (n, input_shape[0])."""
             if self._enc_separate:
-                self._enc_mlp = self._hidden_layers(
-                    input_shape[0], self._enc_units, self._enc_activation, self._enc_initializer
-                )
+                how = (self._enc_units, self._enc_activation, self._enc_initializer)
+                self._enc_mlp = self._hidden_layers("enc", input_shape[0], *how)
                 width = self._enc_units[-1]
             else:
                 self._enc_mlp = self._disc_mlp

@@ -39,8 +39,8 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
     Attributes:
         encoder: infers latents from motion.
         current_latents: (N, Z) latents of the last step.
-        skills: skills that `run` has measured. None before, if all episodes were too short, or if
-            the task is no `ClipWindowsEnv`.
+        skills: the result of `run` about skills. It is None before `run`, if all episodes were too
+            short, or if the task is no `ClipWindowsEnv`.
 
     Raises:
         ConfigError: `latent` has none of these forms, or another dimension.
@@ -58,6 +58,7 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
 
     def __init__(self, params: dict[str, Any]) -> None:
         super().__init__(params)
+        self.latent_dim = self._amp.latent_dim
         self.encoder = SkillEncoder(
             self.model.a2c_network, lambda amp_obs: self._preproc_amp_obs(amp_obs), self._amp
         )
@@ -70,11 +71,6 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
 
     def _build_net_config(self) -> dict[str, Any]:
         return {**super()._build_net_config(), **self._sizes_of_inputs(self.env)}
-
-    @property
-    def latent_dim(self) -> int:
-        """Dimension of a latent."""
-        return self._amp.latent_dim
 
     def _latents_of(self, latent: str) -> Callable[[Tensor], Tensor]:
         """Return a function from the episodes' control steps (N,) to latents (N, Z)."""

@@ -92,8 +92,8 @@ class HRLAgent(OverLowLevel, CommonAgent):
     """The agent of `algo: name: hrl` or `hrl_continuous`.
 
     A step of the high level is `llc_steps` control steps under one latent, and its reward is their
-    mean. After the end of an episode its remaining control steps earn nothing, and the reset
-    follows the last one. The task is a `HierarchyEnv`.
+    mean. The remaining control steps after the end of an episode earn nothing, and the reset
+    follows the last control step. The task is a `HierarchyEnv`.
 
     Attributes:
         style_rewards: (N, 1) the low level's style rewards of the last step.

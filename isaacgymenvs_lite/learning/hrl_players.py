@@ -19,10 +19,11 @@ class HRLPlayer(OverLowLevel, CommonPlayer):
     def __init__(self, params: dict[str, Any]) -> None:
         self._section = params
         self._hrl = read_agent_params(params["config"], HRLParams)
+        self.llc_steps = self._hrl.llc_steps
         super().__init__(params)
         self._policy = self.llc.policy_under(
             lambda obs: self.get_action({"obs": obs}, self.is_deterministic),
-            self._hrl.llc_steps,
+            self.llc_steps,
             self._compute_llc_action,
         )
 
@@ -39,11 +40,6 @@ class HRLPlayer(OverLowLevel, CommonPlayer):
         state = super().restore(fn)
         warn_of_another_llc(state, self.llc.reference, fn)
         return state
-
-    @property
-    def llc_steps(self) -> int:
-        """Control steps under one latent."""
-        return self._hrl.llc_steps
 
     def act(self, obs: dict[str, Tensor]) -> Tensor:
         """Return the task's actions (N, A); the latent changes every `llc_steps` calls."""

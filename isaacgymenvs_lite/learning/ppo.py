@@ -101,20 +101,12 @@ class PPOAgent(PPOSafeguards):
 
         return act
 
-    def discount_values(
-        self,
-        fdones: Tensor,
-        last_extrinsic_values: Tensor,
-        mb_fdones: Tensor,
-        mb_extrinsic_values: Tensor,
-        mb_rewards: Tensor,
-    ) -> Any:
+    def discount_values(self, *rollout: Tensor) -> Any:
         """Return advantages (H, N, values), which are zero where a simulation diverged."""
-        rollout = (fdones, last_extrinsic_values, mb_fdones, mb_extrinsic_values, mb_rewards)
         kept = self._mask.kept
         if kept is None:
             return super().discount_values(*rollout)
-        return self.discount_values_masks(*rollout, kept.float())
+        return self.discount_values_masks(*rollout, mb_masks=kept.float())
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
         """Fill the dataset with the rows whose simulation did not diverge."""

@@ -1,7 +1,7 @@
 """Explains published methods and attributes of IsaacGymEnvs' and ASE's agents that are absent here.
 
-A subclass that overrides a method which nothing calls would silently train without it; its class
-statement raises an error instead. docs/migration.md lists all published names.
+A subclass may override a method that nothing calls here, and would silently train without it. Its
+class statement raises an error instead. docs/migration.md lists all published names.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ PLAYER_NAMES = {
     "_env_reset_done()": _LOOP,
     "_latent_step_count": "every environment has a schedule of its own, as in training",
     "_reset_latent_step_count()": "keys latent_steps_min, latent_steps_max",
-    "_reset_latents()": "_latents_of(latent) returns what gives the latents of each step",
-    "_update_latents()": "_latents_of(latent) returns what gives the latents of each step",
+    "_reset_latents()": "_latents_of(latent) returns a function that computes each step's latents",
+    "_update_latents()": "_latents_of(latent) returns a function that computes each step's latents",
     "env_reset()": _LOOP,
     "env_step()": _LOOP,
     "mask": "there are no action masks",
@@ -139,11 +139,6 @@ class ReadOnly:
     def refusal(self, cls: type) -> str:
         """Return the message for an attempt to set the attribute."""
         return f"{cls.__name__}.{self._name} can only be read; its value comes from {self.set_by}"
-
-
-def is_overridden(instance: Any, method: Callable[..., Any]) -> bool:
-    """Return whether the class of `instance` overrides a method."""
-    return getattr(type(instance), method.__name__) is not method
 
 
 def accepts(function: Callable[..., Any], num_arguments: int) -> bool:

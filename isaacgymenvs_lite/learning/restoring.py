@@ -27,13 +27,8 @@ _NOT_NEGATIVE = ("running_var", "exp_avg_sq", "step")
 class Parts:
     """The entries of a checkpoint that an agent or a player loads, by the checkpoint's keys.
 
-    Attributes:
-        modules: networks and normalisers.
-        optimizers: an agent's Adams.
-        tensors: single tensors.
-        others: gradient scalers, whose state holds only scalars.
-        optional: keys that a checkpoint may lack.
-        counts: whether `epoch` and `frame` are required.
+    `others` are gradient scalers, whose state holds only scalars. A checkpoint may lack `optional`
+    keys; with `counts` it must have `epoch` and `frame`.
     """
 
     modules: Mapping[str, nn.Module]
@@ -58,9 +53,7 @@ _AS_THEY_ARE = ("epoch", "frame", "last_mean_rewards", "env_state", LLC_KEY)
 class Fitting:
     """Compares a checkpoint with the modules and optimisers that load it.
 
-    Args:
-        source: the user's argument, `checkpoint=FILE`, with which messages begin.
-        hint: what to do if the checkpoint does not fit.
+    Messages begin with `source`, the user's argument (`checkpoint=FILE`), and end with `hint`.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """Mixin of all agents: a resumed training repeats the uninterrupted training bit for bit.
 
-At every periodic checkpoint and at the end, the agent writes a training state: the state of the
-agent, its task, the observers and the random generators. A resumed training loads it before its
+The agent writes a training state at every periodic checkpoint and at the end. It has the state of
+the agent, its task, the observers and the random generators. A resumed training loads it before its
 first epoch, after the usual reset of the environments.
 """
 
@@ -27,12 +27,7 @@ from isaacgymenvs_lite.checkpoints.training_state import (
 from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.errors import CheckpointError, one_line
 from isaacgymenvs_lite.run.event_writer import continue_log
-from isaacgymenvs_lite.utils.state import (
-    read_generators,
-    read_state,
-    write_generators,
-    write_state,
-)
+from isaacgymenvs_lite.utils.state import read_generators, read_state, write_generators, write_state
 
 log = logging.getLogger(__name__)
 _FEW_EPOCHS = 20
@@ -77,11 +72,8 @@ class Resuming(BaseAlgorithm):
     _resumed_from = ""
     _stored_epoch = -1
     _reported_size = False
-
-    @property
-    def next_logged_frame(self) -> int:
-        """Frame under which the next epoch writes its scalars."""
-        return self.frame
+    frames_before_log = 0
+    """Number of frames after `frame` at which the next epoch writes its scalars."""
 
     # --- storing -----------------------------------------------------------------------------
 
@@ -99,8 +91,8 @@ class Resuming(BaseAlgorithm):
     def store_training_state(self) -> None:
         """Write the state after this epoch, unless it is already written.
 
-        After a failure, which is logged, the former state stays and the training continues. The
-        main process writes last, because `resume=` looks for its file.
+        A failure is logged; the former state stays and the training continues. The main process
+        writes last, because `resume=` looks for its file.
         """
         if self._stored_epoch == self.epoch_num:
             return
@@ -189,7 +181,7 @@ class Resuming(BaseAlgorithm):
         return self._to_resume.checkpoint
 
     def go_on(self) -> None:
-        """Restore agent and task once before the first epoch; CheckpointError after a misfit."""
+        """Restore agent and task before the first epoch, or raise CheckpointError."""
         state, self._to_resume = self._to_resume, None
         if state is None:
             return
@@ -201,7 +193,7 @@ class Resuming(BaseAlgorithm):
                 f" start a new run with its networks: checkpoint={self._resumed_from}"
             ) from error
         if self.writer is not None:  # Only the main process has a writer.
-            continue_log(self.writer, self.next_logged_frame)
+            continue_log(self.writer, self.frame + self.frames_before_log)
         place = (self.epoch_num, self.frame, self._resumed_from)
         log.info("resumed after epoch %d, frame %d: %s", *place)
         if fresh:

@@ -89,6 +89,7 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
 
     stored = ("_step", "update_counter", "_last_of_actor")
     stored_buffers = ("replay_buffer",)
+    frames_before_log = 1
 
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
         config = params["config"]
@@ -194,11 +195,6 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         result = super().train_epoch()
         self.algo_observer.after_steps()  # rl_games' other agents call `after_steps` too.
         return result
-
-    @property
-    def next_logged_frame(self) -> int:
-        """Frame at the end of the next epoch, under which it writes its scalars."""
-        return self.frame + 1
 
     def update(self, step: int) -> Any:
         """Take a gradient step once the replay buffer holds a batch; return values to log.

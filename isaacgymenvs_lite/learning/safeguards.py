@@ -29,7 +29,7 @@ from isaacgymenvs_lite.learning.resuming import Resuming
 
 log = logging.getLogger(__name__)
 
-# Columns of a rollout -> their names in messages; an earlier column may break the later ones.
+# Column of a rollout -> its name in messages. Broken values spread from earlier to later columns.
 _ROLLOUT = {
     "obses": "observations",
     "states": "states",
@@ -42,7 +42,7 @@ _ROLLOUT = {
     "disc_rewards": "style rewards",
 }
 _OF_TASK = ("obses", "states", "rewards", "amp_obs")
-# Episode statistics, which processes share.
+# Shared episode statistics.
 _METERS = ("game_rewards", "game_shaped_rewards", "game_lengths")
 
 
@@ -282,13 +282,7 @@ class DataParallel(A2CAgent):
         group = current_group()
         if self.has_joined or group.size == 1:
             return
-        error = None
-        if self.normalize_advantage and self.normalize_rms_advantage:
-            error = ConfigError(
-                "train.params.config.normalize_rms_advantage=True: data-parallel training has no"
-                " moving statistics of advantages; set it to False"
-            )
-        group.fail_together(error)
+        group.fail_together()
         self.has_joined = True
         group.take_from_main_(tensors)
         self.multi_gpu = True
@@ -360,14 +354,12 @@ class PPOSafeguards(Safeguards, DataParallel):
     def _parts(self) -> Parts:
         modules: dict[str, Any] = {"model": self.model}
         optimizers: dict[str, Any] = {"optimizer": self.optimizer}
-        optional = {"assymetric_vf_optimizer", "advantage_mean_std", "scaler"}
+        optional = frozenset(("assymetric_vf_optimizer", "scaler"))
         if self.has_central_value:
             modules["assymetric_vf_nets"] = self.central_value_net
             optimizers["assymetric_vf_optimizer"] = self.central_value_net.optimizer
-        if self.normalize_advantage and self.normalize_rms_advantage:
-            modules["advantage_mean_std"] = self.advantage_mean_std
         scalers = {"scaler": self.scaler} if self.mixed_precision else {}
-        return Parts(modules, optimizers, others=scalers, optional=frozenset(optional), counts=True)
+        return Parts(modules, optimizers, others=scalers, optional=optional, counts=True)
 
     def update_epoch(self) -> int:
         """Count the epoch that starts; before it, store a training state or continue from one."""
@@ -415,20 +407,6 @@ class PPOSafeguards(Safeguards, DataParallel):
         parts = Parts({key: self.central_value_net})
         fitted = Fitting(f"checkpoint={fn}").parts(load_checkpoint(fn), parts)
         self.set_central_value_function_weights(fitted)
-
-    def get_stats_weights(self, model_stats: bool = False) -> dict[str, Any]:
-        """Return normaliser statistics and, unlike rl_games, the statistics of advantages."""
-        state: dict[str, Any] = super().get_stats_weights(model_stats)
-        if self.normalize_advantage and self.normalize_rms_advantage:
-            state["advantage_mean_std"] = self.advantage_mean_std.state_dict()
-        return state
-
-    def set_stats_weights(self, weights: dict[str, Any]) -> None:
-        """Load normaliser statistics; rl_games' checkpoints lack the statistics of advantages."""
-        if self.normalize_advantage and self.normalize_rms_advantage:
-            own = {"advantage_mean_std": self.advantage_mean_std.state_dict()}
-            weights = {**own, **weights}
-        super().set_stats_weights(weights)
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
         """Fill the dataset once the rollout is found finite."""

@@ -117,8 +117,7 @@ class StyleReward(StyleLosses):
         self._optimizer.zero_grad()
         info["disc_loss"].backward()
         self._optimizer.step()
-        # A first minibatch is normalised as for its reward; the statistics are therefore updated
-        # last.
+        # The first minibatch is normalised as its reward was; the statistics change afterwards.
         if self.discriminator.normalizer is not None:
             self.discriminator.normalizer.count_in(torch.cat(kinds))
         return {name: value.detach() for name, value in info.items()}

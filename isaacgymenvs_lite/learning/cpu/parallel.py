@@ -28,7 +28,7 @@ from isaacgymenvs_lite.utils.threads import one_torch_thread
 # Least number of rows of a slice.
 _MIN_ROWS = 128
 # Cost of another slice, as products of rows and parameters. The interpreter's lock serialises the
-# slices' small operations: s slices take a / s + b * s, which is least for s = sqrt(a / b).
+# slices' small operations. s slices take a / s + b * s, which is least for s = sqrt(a / b).
 _PRODUCTS_OF_A_SLICE = 300_000_000
 # Slices under `torch_deterministic=True`: their rows and greatest number. Smaller slices cost more
 # (each casts the weights and has gradients of its own), larger ones leave threads idle.
@@ -78,17 +78,12 @@ def take_models(agent: Any, device: str | torch.device, precision: Any) -> Netwo
 class ParallelNetwork(nn.Module):
     """Replaces an rl_games network; several threads compute a slice of the rows each.
 
-    Calls (a dictionary of rows in; a tuple of rows and the recurrent state out) and the methods in
-    the network's `row_functions` are computed in slices. All other attributes are the network's
+    Several threads compute calls (a dictionary of rows in; a tuple of rows and the recurrent state
+    out) and the methods in the network's `row_functions`. All other attributes are the network's
     own. Parameters, buffers and layers keep their names in checkpoints.
 
-    Args:
-        network: the network, which is not sliced if its layers mix rows (`_UNSLICED_LAYERS`).
-        device, bfloat16, num_threads, row_products: see `NetworkExecutor`.
-
-    Attributes:
-        serial: the network itself, in the calling thread and the parameters' precision.
-        executor: evaluates the network; agents differentiate their whole loss with it.
+    `serial` is the network itself, which the calling thread computes in the parameters' precision.
+    It is not sliced if its layers mix rows (`_UNSLICED_LAYERS`).
     """
 
     serial: nn.Module
@@ -161,18 +156,18 @@ def serial_network(network: nn.Module) -> Any:
 
 
 class NetworkExecutor:
-    """Evaluates functions of rows in a chosen precision, on a CPU by slices on several threads.
+    """Evaluates functions of rows in a chosen precision; on a CPU, threads evaluate slices.
 
     The number of threads changes sums of gradients in the last bits, unless torch uses
     deterministic algorithms only.
 
     Args:
-        device: device of the networks; only the CPU slices.
+        device: device of the networks; only rows on the CPU are sliced.
         bfloat16: compute under autocast to bfloat16; results are always float32.
-        num_threads: greatest number of threads on a CPU.
+        num_threads: greatest number of threads.
         can_slice: whether rows are independent of each other in all functions.
-        row_products: products per row, about as many as the networks have parameters. None always
-            uses all threads.
+        row_products: number of products per row, about the number of parameters; None uses all
+            threads.
     """
 
     def __init__(

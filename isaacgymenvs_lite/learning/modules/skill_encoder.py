@@ -21,10 +21,7 @@ class SkillEncoder:
     """Infers the policy's latents from AMP observations (n, F), which `normalize` normalises."""
 
     def __init__(
-        self,
-        network: Any,
-        normalize: Callable[[Tensor], Tensor],
-        params: GenAMPParams,
+        self, network: Any, normalize: Callable[[Tensor], Tensor], params: GenAMPParams
     ) -> None:
         self._network = network
         self._normalize = normalize
@@ -50,9 +47,9 @@ class SkillEncoder:
     ) -> dict[str, Tensor]:
         """Return `enc_loss` and, with a gradient, the unweighted `enc_grad_penalty`.
 
-        `enc_loss` is the mean of -q . z for inferred latents q (`found`) and latents z of the
-        policy, (K, Z) each, plus weight decay and gradient penalty. `gradient` (K, F) is the
-        gradient of -q . z by the normalised AMP observations, differentiable.
+        `enc_loss` is the mean of -q . z, plus weight decay and gradient penalty. q (`found`) are
+        inferred latents and z the policy's, (K, Z) each. `gradient` (K, F) is the gradient of -q .
+        z by the normalised AMP observations, differentiable.
         """
         loss = -(found.float() * latents).sum(dim=-1).mean()
         if self._params.enc_weight_decay != 0.0:

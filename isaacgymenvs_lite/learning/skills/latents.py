@@ -1,10 +1,10 @@
 """Skill latents (unit vectors), and the schedule of their changes.
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
-With random latents alone, as in ASE, a policy must find every skill by exploration, and often
-learns only to stand in many ways. With `ClipLatents` some episodes that start in a clip have the
-latent that the encoder infers from the clip, and continuing the clip earns the encoder's reward.
-CALM (Tessler et al. 2023, arXiv 2305.02195) infers all latents from clips.
+A policy with only random latents, as in ASE, must find every skill by exploration, and often
+learns only to stand in many ways. `ClipLatents` gives some episodes that start in a clip the latent
+that the encoder infers from the clip. Continuing the clip then earns the encoder's reward. CALM
+(Tessler et al. 2023, arXiv 2305.02195) infers all latents from clips.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ def sample_similar_rows(latents: Tensor, found: Tensor, sharpness: float) -> Ten
     proportional to exp(sharpness * z . q) (von Mises and Fisher).
     """
     scores = sharpness * latents @ found.t()
-    # The maximum of scores with Gumbel noise is a draw by the scores' exponentials.
+    # The maximum of scores with Gumbel noise samples rows with probabilities exp(score).
     noise = torch.empty_like(scores).exponential_().log_()
     return (scores - noise).argmax(dim=-1)
 
@@ -154,7 +154,7 @@ def sample_similar_rows(latents: Tensor, found: Tensor, sharpness: float) -> Ten
 class EvaluationLatents:
     """The latents of a task that is played or evaluated; call it before each policy step.
 
-    With `interpolate` latents move gradually along the sphere.
+    `interpolate` moves the latents gradually along the sphere.
     """
 
     def __init__(self, schedule: LatentSchedule, interpolate: bool = False) -> None:

@@ -98,7 +98,8 @@ class LowLevelPolicy:
         builder = _model_builder(train_params, llc_config)
         self.params = read_agent_params(train_params["config"], GenAMPParams)
         self.latent_dim = self.params.latent_dim
-        self._sizes = sizes
+        self.num_task_obs = sizes.num_task_obs
+        self.num_character_obs = sizes.num_obs - sizes.num_task_obs
         amp_obs_size = disc_obs_size(sizes.amp_obs, self.params)
         self._device = torch.device(device)
         self.model = builder.build(
@@ -158,16 +159,6 @@ class LowLevelPolicy:
         fitted = Fitting(f"llc_checkpoint={checkpoint}", hint).parts(state, Parts(modules))
         for key, module in modules.items():
             module.load_state_dict(fitted[key])
-
-    @property
-    def num_character_obs(self) -> int:
-        """Dimension of an observation without the task's features."""
-        return self._sizes.num_obs - self._sizes.num_task_obs
-
-    @property
-    def num_task_obs(self) -> int:
-        """Dimension of the task's features."""
-        return self._sizes.num_task_obs
 
     def extract_obs(self, obs: Tensor) -> Tensor:
         """Return observations (n, O) without the task's features."""
