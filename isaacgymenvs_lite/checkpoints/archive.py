@@ -1,7 +1,7 @@
 """Reads files of `torch.save` without running code from them.
 
 torch's restricted reader refuses numpy scalars, and rl_games stores its best reward as one. This
-module's placeholders read them, because numpy's own functions would trust a file.
+module's placeholders read these scalars, because numpy's own functions would trust a file.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ class PolicyInfo:
 
 
 def read_policy_info(path: Path) -> PolicyInfo:
-    """Read the `PolicyInfo` of a packed policy; CheckpointError if the file is none."""
+    """Read the `PolicyInfo` of a packed policy, or raise CheckpointError."""
     info = load_checkpoint(path).get(POLICY_KEY)
     names = {field.name for field in dataclasses.fields(PolicyInfo)}
     if not isinstance(info, Mapping) or set(info) != names:
@@ -220,7 +220,7 @@ def pack_policy(
 
 
 def _shipped_clip(clip: str) -> str:
-    """Return a clip's name on any machine; refuse clips that do not ship."""
+    """Return the name of a shipped clip; refuse other clips."""
     file = Path(clip)
     if is_package_name(clip):
         return clip

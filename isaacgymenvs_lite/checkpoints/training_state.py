@@ -123,7 +123,7 @@ def _files_of(path: Path, rank: int) -> tuple[Path, Path]:
 def read_training_state(path: Path, rank: int = 0, num_processes: int = 1) -> TrainingState:
     """Return the content of a file: a training state, or a plain checkpoint.
 
-    `path` is the main process' file; a process of another `rank` reads its own file beside it.
+    `path` is the main process' file; a process of another `rank` reads its own file in this folder.
     Raises CheckpointError if a file is missing or damaged.
     """
     checkpoint = load_checkpoint(path)
@@ -195,7 +195,7 @@ def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path
             " its nn/ or resume/"
         )
     if not run.files("config.yaml"):
-        raise CheckpointError(f"resume={resume}: no run folder, it has no config.yaml")
+        raise CheckpointError(f"resume={resume}: no run folder, because it has no config.yaml")
     file = _newest_state(run)
     if file is None:
         raise CheckpointError(f"resume={resume}: {run.path} has no checkpoint yet to continue from")

@@ -696,7 +696,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     # `PPOSafeguards` reads and writes the files.
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Load a checkpoint of a training; CheckpointError if it does not fit."""
+        """Load a checkpoint of a training, or raise CheckpointError."""
         super().set_full_state_weights(weights, set_epoch)
         if self.linear_lr:  # Without this the next epoch would start at the first epoch's rate.
             self._advance_schedule(kl=0.0)

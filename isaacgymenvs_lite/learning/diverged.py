@@ -29,7 +29,7 @@ class RolloutMask:
         self.num_steps = 0
 
     def add(self, diverged: Tensor | None) -> None:
-        """Record the next step, (N,) bool or None; a complete rollout is cleared before."""
+        """Record the next step, (N,) bool or None; a complete rollout is cleared first."""
         if self.num_steps == self._horizon:
             self._diverged, self.num_steps = {}, 0
         if diverged is not None:

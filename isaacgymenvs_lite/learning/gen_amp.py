@@ -261,8 +261,8 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         pairs = self._amp_obs_demo_buffer.sample(num_rows)
         demos, latents = pairs["amp_obs"], self._eval_enc(pairs["amp_obs_near"])
         if self._amp.latent_sharpness > 0.0:
-            # The share of random latents is the policy's. Each is paired with a row of the clips
-            # whose own latent is near, which gives every latent a motion.
+            # Demonstrations have the policy's share of random latents. Each random latent is paired
+            # with a row of the clips whose own latent is near, which gives every latent a motion.
             fresh, chosen = self._clip_latents.random(num_rows, latents.device)
             near = sample_similar_rows(fresh, latents[:_NEIGHBOURS], self._amp.latent_sharpness)
             of_clips = torch.zeros(num_rows, 1, dtype=torch.bool, device=latents.device)

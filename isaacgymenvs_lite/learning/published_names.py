@@ -15,7 +15,7 @@ from isaacgymenvs_lite.errors import OverrideError
 
 _PACKAGE = __name__.partition(".")[0]
 _NOT_OWN = frozenset((_PACKAGE, "rl_games", "torch", "builtins", "typing", "abc"))
-_LOOP = "the play loop is evaluation.evaluate's: act(obs), _post_step(info) or run() of your own"
+_LOOP = "evaluation.evaluate has the play loop; override act(obs), _post_step(info) or run()"
 _BUILD_LLC = "_build_llc(params) returns the LowLevelPolicy of the keys llc_config, llc_checkpoint"
 _LLC_SIZES = "_build_llc_agent_config() returns the LowLevelSizes of the task"
 _NO_COLOUR = "viewers here do not colour characters by their latents"
@@ -29,14 +29,14 @@ AGENT_NAMES = {
     "_change_char_color()": _NO_COLOUR,
     "_enc_loss()": "_extra_losses(result, batch, input_dict), with result['enc_pred']",
     "_eval_critic(ase_latents)": "obs_dict['amp_latents'] are the latents",
-    "_get_mean_rewards()": "_track_episodes(rewards, shaped_rewards, infos) fills the meters that"
-    " rl_games logs and saves by",
+    "_get_mean_rewards()": "_track_episodes(rewards, shaped_rewards, infos) updates the meters of"
+    " rl_games' log and best checkpoint",
     "_reset_latent_step_count()": "schedule.restart(env_ids); keys latent_steps_min, _max",
-    "_reset_latents()": "_sample_latents(n) draws them, _after_reset(env_ids) gets the environments"
-    " that start",
+    "_reset_latents()": "_sample_latents(n) draws latents, _after_reset(env_ids) gets the"
+    " environments with new episodes",
     "_save_intermediate": "every file of save_frequency has its epoch in its name",
-    "central_value_net": "a train file with a central_value_config makes one in agents of AMP, not"
-    " of ASE and hierarchies",
+    "central_value_net": "agents of AMP make one if the train file has a central_value_config;"
+    " agents of ASE and hierarchies refuse the key",
     "env_reset(env_ids)": "_env_reset_done() resets, _after_reset(env_ids) gets them",
     "get_action_values(ase_latents)": "_policy_inputs() returns the latents",
     "get_action_values(rand_action_probs)": "get_action_values(obs) reads self._rand_action_probs",

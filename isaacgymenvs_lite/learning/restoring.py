@@ -168,7 +168,7 @@ class RestoringPlayer(BasePlayer):
         return Parts({"model": self.model})
 
     def restore(self, fn: str) -> dict[str, Any]:
-        """Load a checkpoint and return its entries; CheckpointError if it cannot be used."""
+        """Load a checkpoint and return its entries, or raise CheckpointError."""
         parts = self._parts()
         state = Fitting(f"checkpoint={fn}").parts(load_checkpoint(fn), parts)
         for key, module in parts.modules.items():

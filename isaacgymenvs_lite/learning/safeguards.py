@@ -68,7 +68,7 @@ class Safeguards(Resuming):
     # --- restoring -------------------------------------------------------------------------
 
     def restore(self, fn: str, set_epoch: bool = True) -> None:
-        """Continue from the checkpoint `fn`; CheckpointError if it cannot be used."""
+        """Continue from the checkpoint `fn`, or raise CheckpointError."""
         self._restored_from = str(fn)
         read = self.read_resumed if self.config.get("resume") else load_checkpoint
         self.set_full_state_weights(read(fn), set_epoch)

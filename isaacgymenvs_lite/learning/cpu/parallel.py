@@ -78,8 +78,8 @@ def take_models(agent: Any, device: str | torch.device, precision: Any) -> Netwo
 class ParallelNetwork(nn.Module):
     """Replaces an rl_games network; several threads compute a slice of the rows each.
 
-    Several threads compute calls (a dictionary of rows in; a tuple of rows and the recurrent state
-    out) and the methods in the network's `row_functions`. All other attributes are the network's
+    Several threads compute the network's calls (a dictionary of rows in; a tuple of rows and the
+    recurrent state out) and its methods in `row_functions`. All other attributes are the network's
     own. Parameters, buffers and layers keep their names in checkpoints.
 
     `serial` is the network itself, which the calling thread computes in the parameters' precision.

@@ -23,7 +23,7 @@ from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 
 # The last layer is initialised with U(-1, 1), as in IsaacGymEnvs and ASE.
 DISC_LOGIT_INIT_SCALE = 1.0
-# Limits the logistic reward, which would be ln(1/0) for a sample with probability 0 of being fake.
+# This limits the logistic reward, which would otherwise be ln(1/0) for certainly real samples.
 _MIN_FAKE_PROBABILITY = 1e-4
 
 # --- layers ----------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
     """rl_games' statistics, with the same names in checkpoints, but faster on a CPU.
 
     torch's `var` reduces columns slowly and took 7% of AMP's update. The mean of squared deviations
-    gives the same value ten times as fast. `memory` limits the number of rows that they remember.
+    gives the same value ten times as fast. `memory` is the number of rows that the statistics keep.
     """
 
     def __init__(self, insize: tuple[int, ...], memory: int | None = None) -> None:
