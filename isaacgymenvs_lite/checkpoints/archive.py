@@ -1,7 +1,7 @@
 """Reads files of `torch.save` without running code from them.
 
-torch's own restricted reader does the work. It lacks the scalars of numpy, which rl_games stores as
-its best reward: placeholders of this module read them, because numpy's own functions trust a file.
+torch's restricted reader refuses numpy scalars, and rl_games stores its best reward as one. This
+module's placeholders read these scalars, because numpy's own functions would trust a file.
 """
 
 from __future__ import annotations
@@ -17,28 +17,27 @@ from torch import Tensor
 
 
 class ArchiveError(ValueError):
-    """A file is damaged, or holds more than tensors and plain containers; one line."""
+    """A file is damaged, or holds more than tensors and plain containers."""
 
 
 def read_archive(path: Path) -> Any:
     """Return the content of a file of `torch.save`, on the CPU.
 
-    Returns:
-        Dictionaries, lists, tuples, str, numbers, None and dense tensors, which own their memory.
-        A scalar of numpy is a Python number.
+    It consists of dictionaries, lists, tuples, str, int, float, bool, None and dense tensors with
+    their own memory. Scalars of numpy become Python numbers.
 
     Raises:
-        ArchiveError: the file is damaged, or names anything else; nothing was run.
+        ArchiveError: the file is damaged, or refers to anything else; no code was run.
         OSError: the file cannot be opened.
     """
     with path.open("rb") as file, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about protocols of pickle that torch does not write
+        warnings.simplefilter("ignore")  # Files of older protocols of pickle warn.
         try:
             with torch.serialization.safe_globals(_NUMPY_NAMES):
                 return _plain(torch.load(file, map_location="cpu", weights_only=True))
         except ArchiveError:
             raise
-        except Exception as error:  # a damaged file may raise anything in torch's reader
+        except Exception as error:  # torch's reader may raise anything for a damaged file.
             forbidden = re.search(r"GLOBAL ([\w.]+)", str(error))
             if forbidden is None:
                 raise ArchiveError("damaged or no checkpoint, nothing was run") from error
@@ -70,7 +69,7 @@ def _plain(value: Any) -> Any:
 
 
 class _NumpyDtype:
-    """Stands in for `numpy.dtype`, whose state a file must not set."""
+    """Replaces `numpy.dtype`, whose state a file must not set."""
 
     def __init__(self, name: str, *_flags: Any) -> None:
         self.dtype = np.dtype(name)

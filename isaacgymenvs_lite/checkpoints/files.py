@@ -1,7 +1,7 @@
 """Writes checkpoints atomically, loads them without running code, and finds them by name.
 
-rl_games writes a checkpoint in place (a kill in the middle loses the old one too) and loads it with
-a full unpickler (a stranger's file runs code). The agents and players here use this module instead.
+rl_games writes a checkpoint in place, and an interruption loses the old file. It loads with a full
+unpickler, which runs a stranger's code. This project's agents and players use this module instead.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from isaacgymenvs_lite.utils.files import atomic_write
 log = logging.getLogger(__name__)
 
 LLC_KEY = "llc"
-"""Key of a high level's checkpoint for the low level that it was trained over."""
+"""Key of a checkpoint's entry that names the low-level controller of its training."""
 
 _LLC_ENTRIES = ("checkpoint", "fingerprint")
 _COMPILED_PREFIX = "_orig_mod."
-# rl_games 1.1.4 (ASE) kept the normalisers beside the model: file key -> prefix in the model.
+# rl_games 1.1.4 (ASE) stored normalisers outside of the model: file key -> prefix in the model.
 _OLD_NORMALIZERS = {"running_mean_std": "running_mean_std", "reward_mean_std": "value_mean_std"}
-# rl_games' SAC agent writes each network under a key.
+# rl_games' SAC agent has a key for each network.
 _SAC_KEYS = {"actor", "critic"}
-# Entries of tensors by name.
+# Entries that hold tensors by name.
 _STATE_DICTS = (
     *("model", "actor", "critic", "critic_target", "assymetric_vf_nets"),
-    *(*_OLD_NORMALIZERS, "amp_input_mean_std", "advantage_mean_std"),
+    *(*_OLD_NORMALIZERS, "amp_input_mean_std"),
 )
 _MAX_SHOWN = 80
 
@@ -51,11 +51,11 @@ _MAX_SHOWN = 80
 
 
 def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
-    """Write `state` to `<filename>.pth`; an older file stays whole until the new one is.
+    """Write `state` to `<filename>.pth`; return the file, or None if none could be written.
 
-    A run folder that was removed is made again. If it cannot be written (read-only, full), the
-    failure is logged, the checkpoint is written to a private folder below the system's temporary
-    folder, and the training goes on. Returns the file; None if none could be written.
+    An older file stays whole until the new one is complete. A removed run folder is made again. If
+    it cannot be written (read-only, full), the failure is logged, and the checkpoint is written to
+    a private folder below the system's temporary folder.
     """
     path = Path(f"{filename}.pth")
     state = plain_numbers(state)
@@ -87,20 +87,20 @@ def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
 
 
 def write_atomically(path: Path, state: dict[str, Any]) -> None:
-    """Write a checkpoint in one step; after an error no partial file is left."""
+    """Write a checkpoint in one step; an error leaves no partial file."""
     with atomic_write(path) as partial, partial.open("wb") as file:
         try:
             torch.save(state, file)
         except RuntimeError as error:
-            # torch's zip writer turns whatever ends a write into a RuntimeError: a second Ctrl-C
-            # in a save must end the run, and is no full disk.
+            # torch's zip writer raises RuntimeError for every failure. A second Ctrl-C during a
+            # save must end the run.
             if isinstance(error.__context__, (OSError, KeyboardInterrupt)):
                 raise error.__context__ from None
             raise OSError("the disk is full or broken") from error
 
 
 class Retention:
-    """Keeps the checkpoints of the last `keep` epochs in which periodic ones were written; 0: all.
+    """Removes checkpoints, but keeps those of the last `keep` epochs; 0 keeps all.
 
     It removes only files that were passed to `written`.
     """
@@ -110,7 +110,7 @@ class Retention:
         self._files: dict[int, set[Path]] = {}
 
     def written(self, file: Path, epoch: int) -> None:
-        """Note a checkpoint, or where it was rescued to, and remove those that are too old."""
+        """Add a checkpoint, and remove those that are too old."""
         if self._keep == 0:
             return
         self._files.setdefault(epoch, set()).add(file)
@@ -121,7 +121,7 @@ class Retention:
 
 
 def plain_numbers(value: Any) -> Any:
-    """Replace numpy scalars, which a safe loader refuses, by Python numbers, arrays by tensors."""
+    """Replace numpy scalars by Python numbers, and numpy arrays by tensors, for the safe loader."""
     if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
         return value.item()
     if isinstance(value, np.ndarray):
@@ -139,9 +139,8 @@ def plain_numbers(value: Any) -> Any:
 def load_checkpoint(filename: str | Path) -> dict[str, Any]:
     """Load a checkpoint on the CPU without running code from it; see `archive`.
 
-    Accepts files of rl_games 1.6.5, of IsaacGymEnvs and of ASE (whose normalisers are outside of
-    the model), and strips the parameter prefix of compiled models. `learning.restoring` checks
-    whether it fits the networks.
+    Accepts files of rl_games 1.6.5, IsaacGymEnvs and ASE, and strips the parameter prefix of
+    compiled models. `learning.restoring` checks whether the checkpoint fits the networks.
 
     Raises:
         CheckpointError: the file is missing or damaged, or is no checkpoint.
@@ -162,11 +161,11 @@ def load_checkpoint(filename: str | Path) -> dict[str, Any]:
     )
     if not has_networks:
         raise CheckpointError(
-            f"checkpoint={path}: holds no model; expected a dictionary with the key 'model' as"
+            f"checkpoint={path}: holds no model; expected a dictionary with the key 'model', as"
             " rl_games writes it"
         )
     reward = state.get("last_mean_rewards")
-    if isinstance(reward, torch.Tensor) and reward.shape == ():  # first versions' SAC
+    if isinstance(reward, torch.Tensor) and reward.shape == ():  # rl_games' first SAC agents
         state["last_mean_rewards"] = reward.item()
     if (wrong := next(_wrong_entries(state), None)) is not None:
         raise CheckpointError(f"checkpoint={path}: {wrong}; expected a file that train.py wrote")
@@ -182,7 +181,7 @@ def load_checkpoint(filename: str | Path) -> dict[str, Any]:
 
 
 def _wrong_entries(state: dict[str, Any]) -> Iterator[str]:
-    """Yield what is wrong with entries whose type does not depend on the agent."""
+    """Yield errors in entries whose type does not depend on the agent."""
     for key in _STATE_DICTS:
         entries = state.get(key, {})
         if not isinstance(entries, dict):
@@ -222,12 +221,9 @@ def fit_optimizer_state(
 ) -> dict[str, Any]:
     """Return an optimiser's `state_dict` in the groups of `optimizer`.
 
-    A checkpoint of IsaacGymEnvs has one group, in the order of the model's parameters; an agent
-    with a learning rate for the discriminator has two. torch numbers the parameters group by group,
-    so that the states have to be renumbered.
-
-    Raises:
-        CheckpointError: the state has several groups, and not as many as the optimiser.
+    A checkpoint of IsaacGymEnvs has one group, in the order of the model's parameters. An agent
+    with `disc_learning_rate` has two groups. torch counts the parameters group by group; the states
+    are therefore renumbered. Another number of groups raises CheckpointError.
     """
     groups = state["param_groups"]
     if len(groups) == len(optimizer.param_groups):
@@ -235,12 +231,11 @@ def fit_optimizer_state(
     if len(groups) != 1:
         raise CheckpointError(
             f"the checkpoint's optimiser has {len(groups)} groups of parameters, expected"
-            f" {len(optimizer.param_groups)}: it was trained with"
-            " train.params.config.disc_learning_rate; set it (to learning_rate's value for no"
-            " difference)"
+            f" {len(optimizer.param_groups)}; set train.params.config.disc_learning_rate as in its"
+            " training"
         )
     place = {id(parameter): i for i, parameter in enumerate(model.parameters())}
-    # Number in the optimiser -> number in the single group.
+    # Index in the optimiser -> index in the single group.
     order = [place[id(p)] for group in optimizer.param_groups for p in group["params"]]
     own = optimizer.state_dict()["param_groups"]
     return {
@@ -258,10 +253,7 @@ def fit_optimizer_state(
 
 
 def checkpoint_of_tree(tree: Mapping[str, Any], checkpoint: str, train_dir: str | Path) -> str:
-    """Return the path that `checkpoint` means to a resolved tree, see `resolve_checkpoint`.
-
-    `last` is the newest checkpoint of its task and of its kind of network.
-    """
+    """Return the path of `checkpoint` for a resolved tree; see `resolve_checkpoint`."""
     network = select(tree, "train.params.network.name")
     return resolve_checkpoint(checkpoint, train_dir, tree["task"]["name"], str(network or ""))
 
@@ -271,13 +263,9 @@ def resolve_checkpoint(
 ) -> str:
     """Return the path that the key `checkpoint` means.
 
-    Args:
-        checkpoint: '' (none), a path, `last`: the newest checkpoint of the task's runs, also a
-            rescued checkpoint, or the name of a shipped policy.
-        train_dir: folder of the run folders.
-        task_name: task of the runs that `last` searches; '': all.
-        network_name: name of their networks; '': all. Several levels of a hierarchy are trained on
-            one task.
+    `checkpoint` is '' (none), a path, a shipped policy's name, or `last`: the newest checkpoint in
+    `train_dir`, including rescued ones. `last` searches runs with this task and network ('' is
+    any). The network tells the levels of a hierarchy apart, which have one task.
 
     Raises:
         CheckpointError: there is no such file.
@@ -292,8 +280,8 @@ def resolve_checkpoint(
         hint = f"; did you mean {path}.pth?" if Path(f"{path}.pth").is_file() else ""
         names = f", or a shipped policy: {', '.join(policies)}" if policies else ""
         raise CheckpointError(
-            f"checkpoint={checkpoint}: no file {path.absolute()}{hint}; give a .pth file, or"
-            f" 'last' for the newest one of this task{names}"
+            f"checkpoint={checkpoint}: no file {path.absolute()}{hint}; give a .pth file, 'last'"
+            f" for this task's newest checkpoint{names}"
         )
     return str(path.absolute())
 
@@ -313,7 +301,7 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
             for config in other.files("config.yaml")
         ]
         others = sorted({str(each.get("task.name") or "") for each in found} - {"", task_name})
-        hint = f"; there are some of task={', task='.join(others)}" if others else ""
+        hint = f"; there are checkpoints of task={', task='.join(others)}" if others else ""
         network = f" with the network {network_name}" if network_name else ""
         raise CheckpointError(
             f"checkpoint=last: no checkpoint of {task}{network} below {train_dir.absolute()}{hint};"
@@ -326,9 +314,9 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
 def newest_run(
     train_dir: Path, wanted: Mapping[str, str], patterns: Sequence[str]
 ) -> RunFolder | None:
-    """Return the run with the newest file of some patterns, rescued files included; None without.
+    """Return the run with the newest file of some patterns, including rescued files, or None.
 
-    `wanted` are values that config.yaml of the run has, by their paths.
+    `wanted` are values of the run's config.yaml by their paths.
     """
     runs = {
         file: run
@@ -342,9 +330,9 @@ def newest_run(
 
 
 def settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
-    """Return settings of a run by their paths; None if it is no run of this project."""
+    """Return settings of a run by their paths; None if the folder is no run of this project."""
     try:
         cfg = read_yaml(run / "config.yaml")
         return {key: OmegaConf.select(cfg, key) for key in keys}
     except (ConfigError, OmegaConfBaseException):
-        return None  # a damaged run folder, or of another project: left out
+        return None  # The run folder is damaged, or another project's.

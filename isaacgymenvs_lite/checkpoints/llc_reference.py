@@ -1,6 +1,6 @@
-"""Finds the low-level controller that a high level was trained over, by its checkpoint.
+"""Finds the low-level controller of a high level's training, by an entry of its checkpoint.
 
-A latent has a meaning for one low-level controller only.
+A latent has a meaning only for the low-level controller of its training.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from isaacgymenvs_lite.paths import shipped_policies, user_path
 log = logging.getLogger(__name__)
 
 SHIPPED_LLC = "locomotion_skills"
-"""Name of the low-level controller among the shipped policies."""
+"""Name of the shipped low-level controller."""
 
 
 def make_reference(llc_checkpoint: str, weights: Mapping[str, Tensor]) -> dict[str, str]:
@@ -45,19 +45,16 @@ def shipped_reference(reference: Mapping[str, str]) -> dict[str, str]:
             return {**reference, "checkpoint": name}
     raise CheckpointError(
         f"the policy was trained over the low-level controller {reference['checkpoint']}, which"
-        " does not ship; pack that one first"
+        " does not ship; pack that controller first"
     )
 
 
 def llc_checkpoint_for(llc_checkpoint: str | None, params: Mapping[str, Any]) -> str:
-    """Return the low-level controller of a training or a play.
+    """Return the low-level controller of a training or a play: a path or a shipped name.
 
-    The key `llc_checkpoint` decides. With None or '' the loaded checkpoint does; without an entry
-    there None means the shipped low level, and '' stays ''.
-
-    Args:
-        llc_checkpoint: the key.
-        params: the section `params` of the train file.
+    The key `llc_checkpoint` decides. If it is None or '', the loaded checkpoint's entry decides.
+    Without an entry None means the shipped low level, and '' stays ''. `params` is the section of
+    the train file.
     """
     if llc_checkpoint:
         return llc_checkpoint
@@ -71,7 +68,7 @@ def llc_checkpoint_for(llc_checkpoint: str | None, params: Mapping[str, Any]) ->
 def warn_of_another_llc(
     state: Mapping[str, Any], reference: Mapping[str, str], checkpoint: str
 ) -> None:
-    """Warn if a high level's checkpoint was trained over another low level than the used one."""
+    """Warn if a high level's checkpoint was trained over another low level than the current one."""
     before = state.get(LLC_KEY)
     if before and before["fingerprint"] != reference["fingerprint"]:
         log.warning(

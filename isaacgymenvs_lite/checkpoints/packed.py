@@ -1,8 +1,8 @@
 """Packs policies: checkpoints without the state of a training, but with the settings to play them.
 
-A full checkpoint needs the config.yaml of its run folder, and most of it is the optimiser's state.
-A packed policy is one small file: the model with critic and normalisers (it loads as any checkpoint
-does), the normaliser of AMP observations, and the `PolicyInfo` under the key `policy`.
+A full checkpoint needs the config.yaml of its run folder, and consists mostly of the optimiser's
+state. A packed policy is one small file with the model, the normaliser of AMP observations, and the
+`PolicyInfo` under the key `policy`. It loads like any checkpoint.
 """
 
 from __future__ import annotations
@@ -26,11 +26,7 @@ from isaacgymenvs_lite.checkpoints.run_config import (
     units_of_model,
 )
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, MotionFileError
-from isaacgymenvs_lite.motion.formats.deepmimic import (
-    PREFIX,
-    find_in_package,
-    is_package_name,
-)
+from isaacgymenvs_lite.motion.formats.deepmimic import PREFIX, find_in_package, is_package_name
 from isaacgymenvs_lite.motion.loader import (
     shipped_motions,
     shipped_motions_dir,
@@ -43,12 +39,12 @@ from isaacgymenvs_lite.schema import leaves, read_section, select, setting
 log = logging.getLogger(__name__)
 
 POLICY_KEY = "policy"
-"""Entry of a packed policy that no other checkpoint has: its `PolicyInfo`."""
+"""Entry of a packed policy for its `PolicyInfo`; no other checkpoint has it."""
 # Entries of a checkpoint that a player reads.
 _PLAYED = ("model", "amp_input_mean_std", "env_state")
 _CONFIG = "train.params.config"
 _CLIP = "task.env.motion_file"
-# Sections and keys that a policy must find as it was trained with.
+# A play needs the values of these sections and keys from the training.
 _NEEDED = (
     *("task.env", "task.sim"),
     *(f"train.params.{section}" for section in ("algo", "model", "network")),
@@ -59,13 +55,13 @@ _NEEDED = (
     # A shipped low level holds its settings, so llc_config is not needed.
     f"{_CONFIG}.llc_steps",
 )
-# Keys of those sections that only a training reads, or that have no effect.
+# A play does not need these keys of the sections above.
 _NOT_NEEDED = (
     *("task.env.numEnvs", "task.env.episodeLength", "task.env.envSpacing"),
     *("task.env.cameraFollow", "task.env.enableDebugVis"),
     *("task.sim.use_gpu_pipeline", "task.sim.physx"),
 )
-# Settings of the training that have no meaning elsewhere.
+# These settings have no meaning on another machine.
 _NOT_RECORDED = ("name", "full_experiment_name", "train_dir", "print_stats", "multi_gpu")
 
 
@@ -74,12 +70,12 @@ class PolicyInfo:
     """Task, settings and origin of a packed policy, which are stored in it.
 
     Attributes:
-        task: name of the task it acts in.
-        clip: the motion it imitates, as `task.env.motion_file`; '' for tasks without.
+        task: name of its task.
+        clip: reference motion, as in `task.env.motion_file`; '' for tasks without motions.
         units: hidden layers of its networks, {"mlp": [...], "disc": [...]}.
-        frames: environment steps it was trained for.
-        epochs: epochs it was trained for.
-        settings: path in the configuration tree -> value; all that a play needs.
+        frames: environment steps of its training.
+        epochs: epochs of its training.
+        settings: all settings that a play needs, by their paths in the configuration tree.
         training: `train.params.config` of the training, for the record.
     """
 
@@ -98,7 +94,7 @@ class PolicyInfo:
         return f"{self.task}{of_clip}, {self.frames / 1e6:.1f} M frames, {layers}"
 
     def missing(self) -> str:
-        """Return what must be installed before its clip can be read; '' if nothing is missing."""
+        """Return instructions for installing its clip; '' if nothing is missing."""
         if is_package_name(self.clip):
             try:
                 find_in_package(self.clip)
@@ -108,11 +104,7 @@ class PolicyInfo:
 
 
 def read_policy_info(path: Path) -> PolicyInfo:
-    """Read the `PolicyInfo` of a packed policy.
-
-    Raises:
-        CheckpointError: it cannot be read or is no packed policy.
-    """
+    """Read the `PolicyInfo` of a packed policy, or raise CheckpointError."""
     info = load_checkpoint(path).get(POLICY_KEY)
     names = {field.name for field in dataclasses.fields(PolicyInfo)}
     if not isinstance(info, Mapping) or set(info) != names:
@@ -127,17 +119,14 @@ def read_policy_info(path: Path) -> PolicyInfo:
 
 
 def shipped_policy_infos() -> dict[str, PolicyInfo]:
-    """Return the policies that ship, in the order of their names."""
+    """Return the shipped policies by their names, in alphabetical order."""
     return {name: read_policy_info(path) for name, path in shipped_policies().items()}
 
 
 def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the section `params` of a train file as a packed policy was trained with it.
+    """Return the section `params` of a train file with a packed policy's own settings.
 
-    For the `state` of any other checkpoint `params` is returned as it is.
-
-    Raises:
-        CheckpointError: its settings contradict each other.
+    For the `state` of any other checkpoint `params` is returned unchanged.
     """
     params = copy.deepcopy(dict(params))
     if POLICY_KEY not in state:
@@ -152,7 +141,7 @@ def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) ->
                 if not isinstance(place, dict):
                     raise CheckpointError(
                         f"the checkpoint's policy.settings.{path} is below a value, expected below"
-                        " a section; take another checkpoint"
+                        " a section; use another checkpoint"
                     )
             place[key] = value
     return {**params, **own}
@@ -161,23 +150,23 @@ def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) ->
 def pack_policy(
     checkpoint: str | Path, name: str, clip: str = "", folder: str | Path | None = None
 ) -> Path:
-    """Write the packed policy of a full checkpoint and return its path.
+    """Write the packed policy of a full checkpoint, and return its path.
 
     Args:
-        checkpoint: a file in the folder nn/ of the run folder that train.py made.
-        name: of the policy; an older one of this name is replaced.
-        clip: the shipped clip that it imitates; '' takes the run's.
-        folder: where to write; None = assets/policies.
+        checkpoint: file in the folder nn/ of a run folder.
+        name: name of the policy, which may replace an older one.
+        clip: the shipped clip that the policy imitates; '' takes the run's.
+        folder: where to write; None is assets/policies.
 
     Raises:
         CheckpointError: the checkpoint cannot be used, or the policy needs a low-level
             controller that does not ship.
-        ConfigError: no config.yaml beside it, a name that cannot be used, a clip that is not
-            shipped, or a folder that cannot be written.
+        ConfigError: there is no config.yaml, the name cannot be used, the clip does not ship, or
+            the folder cannot be written.
     """
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name) or name == "last":
         raise ConfigError(
-            f"name={name}: expected small letters, digits, - and _; 'last' is the newest checkpoint"
+            f"name={name}: expected lower-case letters, digits, - and _, and not 'last'"
         )
     checkpoint = Path(checkpoint)
     state = load_checkpoint(checkpoint)
@@ -185,7 +174,7 @@ def pack_policy(
     if not file.is_file():
         raise ConfigError(
             f"checkpoint={checkpoint}: no config.yaml in {file.parent}; expected a checkpoint in"
-            " the folder nn of the run folder that train.py made"
+            " the folder nn of a run folder of train.py"
         )
     tree = read_run_config(file, model, to_play=True)
     units = units_of_config(tree)
@@ -231,7 +220,7 @@ def pack_policy(
 
 
 def _shipped_clip(clip: str) -> str:
-    """Return a clip by a name that is valid on any machine; refuse other files."""
+    """Return the name of a shipped clip; refuse other clips."""
     file = Path(clip)
     if is_package_name(clip):
         return clip
@@ -240,7 +229,7 @@ def _shipped_clip(clip: str) -> str:
     if not ours or file.stem not in names:
         choices = f"{', '.join(names)}, {PREFIX}<name>"
         raise ConfigError(
-            f"the policy imitates {clip}, which does not ship with the project; name the clip"
-            f" to show beside it with clip=NAME: {choices}"
+            f"the policy imitates {clip}, which does not ship; give a clip for its demo as"
+            f" clip=NAME: {choices}"
         )
     return file.name

@@ -1,4 +1,4 @@
-"""Completes command lines with a shipped policy, `checkpoint=<name>`, by its settings."""
+"""Completes command lines that name a shipped policy by the policy's settings."""
 
 from __future__ import annotations
 
@@ -20,29 +20,30 @@ log = logging.getLogger(__name__)
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_.]*")
 _NO_TEXT = ("true", "false", "null", "nan", "inf")
 _NETWORK = "train.params.network"
-# Words on which the values of files depend; with a comma they are a sweep's.
+# Arguments that change the values of files; with a comma they are a sweep's.
 _FILE_KEYS = ("task", "train", "rl_device")
 
 
 def playing_overrides(name: str) -> list[str]:
     """Return the overrides that a shipped policy needs to act, for `config.compose`.
 
-    These are the settings that must be as in its training: no `checkpoint`, devices or sizes.
+    They restore settings of its training, but no `checkpoint`, devices or sizes.
     """
-    # imports torch, which other command lines do without
+    # This imports torch, which other command lines do without.
     from isaacgymenvs_lite.checkpoints.packed import read_policy_info
 
     info = read_policy_info(shipped_policies()[name])
     log.info("%s: %s", name, info)
     settings = [f"++{path}={as_override(value)}" for path, value in info.settings.items()]
-    # The whole network is packed: keys that it lacks must not come from today's train file.
+    # The policy has a complete network section; further keys of today's train file must not join
+    # it.
     return [f"task={info.task}", f"~{_NETWORK}", *settings]
 
 
 def complete_arguments(arguments: Sequence[str]) -> list[str]:
     """Return a command line with the settings of the shipped policy that it plays or trains on.
 
-    They are inserted before the typed words, which override them.
+    They are inserted before the user's own overrides, which have precedence.
     """
     arguments = list(arguments)
     typed = _settings(arguments)
@@ -52,23 +53,23 @@ def complete_arguments(arguments: Sequence[str]) -> list[str]:
     settings = playing_overrides(name)
     if "task" in typed:
         settings = settings[1:]
-    # Beside the others, because Hydra's parser expects all overrides in one piece.
+    # Hydra's parser expects all overrides in one piece.
     place = next(i for i, word in enumerate(arguments) if "=" in word)
     return [*arguments[:place], *settings, *arguments[place:]]
 
 
 def inherited_settings(arguments: Sequence[str]) -> list[str]:
-    """Return the settings that later command lines about a run need if a shipped policy began it.
+    """Return settings of the shipped policy with which a run begins, for later command lines.
 
-    Such a run is played by the files of task and training and by the typed words. So these are the
-    policy's settings that the files do not have, as overrides; all of its settings where the files
-    come from a folder of the user's own.
+    A run is played by its task's and train files and the user's overrides. This function returns
+    the policy's settings that differ from these files, as overrides. If the files come from a
+    user's own folder, it returns all of the policy's settings.
     """
     typed = _settings(arguments)
     name = typed.get("checkpoint", "")
     if name not in shipped_policies():
         return []
-    # imports torch, which other command lines do without
+    # This imports torch, which other command lines do without.
     from isaacgymenvs_lite.checkpoints.packed import read_policy_info
 
     info = read_policy_info(shipped_policies()[name])
@@ -76,7 +77,7 @@ def inherited_settings(arguments: Sequence[str]) -> list[str]:
     chosen = {"task": info.task, **typed}
     try:
         tree = compose([f"{key}={value}" for key, value in chosen.items()])
-    except ConfigError:  # in a folder of the user's own, or nowhere, which the training reports
+    except ConfigError:  # The files are in a user's folder, or missing, which the training reports.
         return playing_overrides(name)[1:]
     files = OmegaConf.to_container(tree, resolve=True)
     settings, in_network = info.settings, f"{_NETWORK}."
@@ -90,12 +91,12 @@ def inherited_settings(arguments: Sequence[str]) -> list[str]:
 
 
 def _settings(arguments: Sequence[str]) -> dict[str, str]:
-    """Return the words of a command line that set a key."""
+    """Return the arguments key=value of a command line."""
     return dict(word.split("=", 1) for word in arguments if "=" in word)
 
 
 def as_override(value: Any) -> str:
-    """Return a value as Hydra's grammar writes it; text that may be no plain word is quoted."""
+    """Return a value in Hydra's grammar; text other than a plain name is quoted."""
     if value is None:
         return "null"
     if isinstance(value, str):

@@ -1,4 +1,4 @@
-"""Reads the configuration that a checkpoint was trained with: config.yaml in its run folder."""
+"""Reads the configuration of a checkpoint's training: config.yaml in its run folder."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from isaacgymenvs_lite.schema import keys_of, read_keys, select
 log = logging.getLogger(__name__)
 
 SECTIONS = ("task.env", "train.params.network", "train.params.config")
-"""Sections that the configuration of a run must have."""
+"""Sections that a run's configuration must have."""
 
-# The only keys that resume= takes from a run's config.yaml, which a stranger may have written.
-# Viewers, videos and W&B are not among them.
+# The only keys that resume= takes from a run's config.yaml, which a stranger may have written. They
+# do not open viewers, make videos or upload to W&B.
 _OF_RUN = frozenset(
     (
         *("task", "train", "pbt", "task_name", "task_checkout", "experiment"),
@@ -39,7 +39,7 @@ _OF_RUN = frozenset(
 )
 _SWITCHES = ("wandb_activate", "viewer", "capture_video", "multi_gpu")
 _RL_DEVICES = ("cpu", "cuda:0")
-# Hidden layers: section of the network -> pattern of the name in the model.
+# Section of the network -> pattern of its hidden layers' names in the model.
 _LAYERS = {
     "mlp": r"actor_mlp(?:\._dense_layers)?",
     "style": r"actor_mlp\._style_mlp",
@@ -48,22 +48,20 @@ _LAYERS = {
 
 
 def run_config_file(checkpoint: Path) -> Path:
-    """Return where the configuration of a checkpoint is, if it lies in a run folder."""
+    """Return the path of a checkpoint's configuration in its run folder."""
     return checkpoint.absolute().parent.parent / "config.yaml"
 
 
 def read_run_config(
     file: Path, model: Mapping[str, Any], *, to_play: bool = False
 ) -> dict[str, Any]:
-    """Return a run's tree, resolved for the kind of device that it was trained on.
+    """Return a run's tree, resolved for the kind of device of its training.
 
-    The default networks depend on the device, and this machine may have another one: the layers of
-    the model decide. If they match no device, the tree is resolved for the CPU.
+    The default networks depend on the device, and this machine may have another one. The kind of
+    device is inferred from the model's layers; if none matches, it is the CPU.
 
-    Args:
-        file: config.yaml of a run folder.
-        model: parameters by name; empty if they are not known.
-        to_play: with the values of a play (`test=True`), where those of a training differ.
+    `model` holds parameters by name, or nothing. `to_play` resolves values for a play
+    (`test=True`).
     """
     register_resolvers()
     stored = read_yaml(file)
@@ -82,14 +80,10 @@ def read_run_config(
 
 
 def resumed_tree(words: Sequence[str]) -> DictConfig:
-    """Return the tree of a run that goes on: its own settings, changed by the words.
+    """Return the tree of a resumed run: its own settings, changed by the user's arguments.
 
-    Args:
-        words: `resume=last`, `resume=FOLDER` or `resume=FILE`, and settings that change. `task=`
-            and `train=` choose the runs that `last` searches.
-
-    Returns:
-        The tree; `resume` is the path of the file to go on from.
+    `words` are `resume=last`, `resume=FOLDER` or `resume=FILE`, and settings that change. `task=`
+    and `train=` choose the runs that `last` searches. The tree's `resume` is a file.
     """
     given = {word.partition("=")[0].lstrip("+"): word for word in words}
     for word in words:
@@ -104,13 +98,13 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
         wanted = {path: str(OmegaConf.select(composed, path)) for path in paths}
     file = resume_file(values["resume"], train_dir_of(words), wanted)
     stored = read_yaml(run_of_file(file) / "config.yaml")
-    # Keys that are not of the run get their defaults.
+    # All other keys get their defaults.
     defaults = vars(LaunchSettings(task_name=""))
     left = [key for key in _SWITCHES if stored.get(key) not in (None, defaults[key])]
     if left := [key for key in left if key not in values]:
         log.info("not taken over from the run, type again what you want: %s", ", ".join(left))
     for key in set(stored) - keys_of(LaunchSettings) - {"task", "train", "pbt"}:
-        del stored[key]  # of an earlier version
+        del stored[key]  # An earlier version wrote this key.
     for key in defaults.keys() - _OF_RUN:
         stored[key] = defaults[key]
     settings = [
@@ -120,12 +114,12 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
         cfg = changed_by(stored, settings)
     except ConfigError as error:
         raise ConfigError(
-            f"{error}; the words change settings of the run {run_of_file(file)}"
+            f"{error}; the arguments change settings of the run {run_of_file(file)}"
         ) from error
     with open_dict(cfg):
-        # A restarted policy of a population has another checkpoint to begin with.
+        # A restarted policy of a population starts from its checkpoint instead.
         cfg.resume = "" if "pbt_restart" in given else str(file)
-        # The file does not choose where a workspace is.
+        # A stranger's file must not choose the workspace's folder.
         OmegaConf.update(cfg, TRAIN_DIR, str(train_dir_of(words)), force_add=True)
     return cfg
 
@@ -144,7 +138,7 @@ def _resolved(stored: DictConfig, rl_device: str, file: Path) -> dict[str, Any]:
 
 
 def units_of_config(tree: dict[str, Any]) -> dict[str, list[int]]:
-    """Return the hidden layers of the networks, {"mlp": [...], "disc": [...]}, of a tree."""
+    """Return the hidden layers of a tree's networks, {"mlp": [...], "disc": [...]}."""
     network = select(tree, "train.params.network")
     sections = {name: network[name] for name in _LAYERS if network.get(name) is not None}
     for name, section in sections.items():
@@ -155,7 +149,7 @@ def units_of_config(tree: dict[str, Any]) -> dict[str, list[int]]:
 
 
 def units_of_model(model: Mapping[str, Any], names: Iterable[str]) -> dict[str, list[int]]:
-    """Return the same for the networks `names`, from the shapes of a model's parameters."""
+    """Return the hidden layers of the networks `names`, from the shapes of a model's parameters."""
     units: dict[str, dict[int, int]] = {name: {} for name in names}
     for name, layers in units.items():
         for key, weight in model.items():

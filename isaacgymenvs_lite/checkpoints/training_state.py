@@ -1,13 +1,12 @@
-"""The files from which a training goes on exactly: `<run>/resume/<epoch>.pth` and its buffers.
+"""The files for exact resumes of a training: `<run>/resume/<epoch>.pth` and its buffers.
 
-A training state is a checkpoint with one more entry, `training_state`: what the agent and its
-task remember. The replay buffers, which can be large, are in a second file. Only the newest state
-of a run is kept. Each file appears whole or not at all, and the former state is removed once both
-are written, so that a crash at any time leaves a state.
+A training state is a checkpoint with one more entry, `training_state`: the state of the agent and
+its task. A second file holds the replay buffers, which can be large. Each file is written in one
+step, and the former state is removed after both; a crash at any time leaves a state.
 
-Each of several processes writes what it remembers, all but the main process to
-`<epoch>_rank<rank>.pth`. The networks are in the main process' file alone. All files of a state
-share a secret, which shows that they belong together.
+Each process writes its own files: the main process `<epoch>.pth` with the networks, the others
+`<epoch>_rank<rank>.pth`. All files of a state share a random token, which shows that they belong
+together.
 """
 
 from __future__ import annotations
@@ -35,10 +34,10 @@ from isaacgymenvs_lite.run.folder import RunFolder, newest, run_of_checkpoint
 log = logging.getLogger(__name__)
 
 KEY = "training_state"
-"""Key of a checkpoint for what it holds beside the networks."""
+"""Key of a checkpoint for the state of its training."""
 
 FOLDER = "resume"
-"""Folder of the states in a run folder."""
+"""Name of the folder of training states in a run folder."""
 
 _VERSION = 2
 _STATE = re.compile(r"\d+\.pth")
@@ -47,13 +46,14 @@ _FILE_OF_STATE = re.compile(r"(\d+)(_rank\d+)?(_buffers)?\.pth")
 
 @dataclass(frozen=True)
 class TrainingState:
-    """What a file of a run holds, to go on from it.
+    """The content of a file to resume from.
 
     Attributes:
-        checkpoint: networks, optimisers and counts, as every checkpoint has them.
-        memory: what the agent and the task remember; None of a plain checkpoint.
+        checkpoint: networks, optimisers and counts.
+        memory: state of the agent and the task; None in a plain checkpoint.
         buffers: rows of replay buffers by name; None without their file.
-        num_processes: that trained together; if there are others now, `memory` is the main one's.
+        num_processes: number of processes that wrote the state. If it differs from the current
+            number, `memory` is the main process'.
     """
 
     checkpoint: dict[str, Any]
@@ -63,7 +63,7 @@ class TrainingState:
 
 
 def new_token() -> str:
-    """Return a secret that the files of a state share."""
+    """Return the token that all files of a state share."""
     return secrets.token_hex(8)
 
 
@@ -72,7 +72,7 @@ def write_training_state(
 ) -> list[Path]:
     """Write this process' part of a state into a run folder; return its files.
 
-    The former state stays. The token is that of `new_token`, the same for all processes.
+    The former state stays. `token` is the main process' `new_token`.
     """
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
@@ -93,9 +93,9 @@ def write_training_state(
 
 
 def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:
-    """Write the checkpoint that a run goes on from in another process; return its path.
+    """Write the checkpoint from which another process continues a run; return its path.
 
-    The run's states are removed: they would lead `resume=` back to the networks before.
+    The run's training states are removed, because `resume=` would prefer their older networks.
     """
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
@@ -106,7 +106,7 @@ def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:
 
 
 def remove_other_states(run: Path, epoch: int) -> None:
-    """Remove the files of all states of a run but one, once that is complete."""
+    """Remove the files of a run's states, except for the complete state of `epoch`."""
     for file in (run / FOLDER).iterdir():
         found = _FILE_OF_STATE.fullmatch(file.name)
         if found and int(found[1]) != epoch:
@@ -115,7 +115,7 @@ def remove_other_states(run: Path, epoch: int) -> None:
 
 
 def _files_of(path: Path, rank: int) -> tuple[Path, Path]:
-    """Return the files of a process: its state and its buffers, given the main one's state."""
+    """Return a process' files of state and buffers, given the main process' state."""
     stem = path.stem if rank == 0 else f"{path.stem}_rank{rank}"
     return path.with_name(f"{stem}.pth"), path.with_name(f"{stem}_buffers.pth")
 
@@ -123,13 +123,8 @@ def _files_of(path: Path, rank: int) -> tuple[Path, Path]:
 def read_training_state(path: Path, rank: int = 0, num_processes: int = 1) -> TrainingState:
     """Return the content of a file: a training state, or a plain checkpoint.
 
-    Args:
-        path: file of the main process.
-        rank: of this process, which reads its own files in the same folder.
-        num_processes: that train now.
-
-    Raises:
-        CheckpointError: the file is missing or damaged, or no checkpoint.
+    `path` is the main process' file; a process of another `rank` reads its own file in this folder.
+    Raises CheckpointError if a file is missing or damaged.
     """
     checkpoint = load_checkpoint(path)
     entry = checkpoint.pop(KEY, None)
@@ -167,17 +162,14 @@ def _read_archive(file: Path, hint: str) -> dict[str, Any]:
         return dict(read_archive(file))
     except OSError as error:
         raise CheckpointError(f"resume={file}: {error.strerror}; {hint}") from error
-    except Exception as error:  # a damaged file may raise anything in the reader
+    except Exception as error:  # The reader may raise anything for a damaged file.
         raise CheckpointError(f"resume={file}: damaged ({one_line(error)}); {hint}") from error
 
 
 def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path:
     """Return the file that the key `resume` means: `last`, a run folder, or a file in one.
 
-    Args:
-        resume: the key.
-        train_dir: folder of the runs that `last` searches.
-        wanted: what config.yaml of these runs has, values by path.
+    `last` searches the runs in `train_dir` whose config.yaml has the `wanted` values by path.
     """
     given = user_path(resume)
     if resume == "last":
@@ -185,16 +177,16 @@ def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path
         if run is None:
             of = f" with {', '.join(f'{k}={v}' for k, v in wanted.items())}" if wanted else ""
             raise CheckpointError(
-                f"resume=last: no run{of} below {train_dir.absolute()} has a checkpoint to go on"
-                " from; start one without resume="
+                f"resume=last: no run{of} below {train_dir.absolute()} has a checkpoint to continue"
+                " from; start a run without resume="
             )
     elif given.is_dir():
         run = RunFolder.at(given.absolute(), train_dir)
     elif given.is_file():
         if not (run_of_file(given) / "config.yaml").is_file():
             raise CheckpointError(
-                f"resume={resume}: lies in no run folder, which would have its settings; start a"
-                f" new run from it: checkpoint={resume}"
+                f"resume={resume}: no config.yaml in its run folder; start a new run from it:"
+                f" checkpoint={resume}"
             )
         return given.absolute()
     else:
@@ -203,25 +195,25 @@ def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path
             " its nn/ or resume/"
         )
     if not run.files("config.yaml"):
-        raise CheckpointError(f"resume={resume}: no run folder, it has no config.yaml")
+        raise CheckpointError(f"resume={resume}: no run folder, because it has no config.yaml")
     file = _newest_state(run)
     if file is None:
-        raise CheckpointError(f"resume={resume}: {run.path} has no checkpoint yet to go on from")
+        raise CheckpointError(f"resume={resume}: {run.path} has no checkpoint yet to continue from")
     run.report_rescued(file, f"resume={resume}")
     return file.absolute()
 
 
 def _newest_state(run: RunFolder) -> Path | None:
-    """Return the file to go on from: the newest training state, or a newer rescued checkpoint.
+    """Return the file to continue from: the newest training state, or a newer rescued checkpoint.
 
-    Without a state it is the newest checkpoint. A newer checkpoint in the run folder (after a kill)
-    is only logged: a state resumes exactly.
+    Without a state the newest checkpoint is returned. A newer checkpoint in the run folder (after a
+    kill) is only logged, because only a state resumes exactly.
     """
     states = [file for file in run.files(f"{FOLDER}/*.pth") if _STATE.fullmatch(file.name)]
     state, checkpoint = newest(states), run.newest_checkpoint()
     if state is None or checkpoint is None:
         return state or checkpoint
-    epoch = -1  # of a checkpoint that cannot be used
+    epoch = -1  # The checkpoint may be damaged.
     with contextlib.suppress(CheckpointError):
         epoch = int(load_checkpoint(checkpoint).get("epoch", -1))
     if epoch <= int(state.stem):
@@ -237,7 +229,7 @@ def _newest_state(run: RunFolder) -> Path | None:
 
 
 def run_of_file(file: Path) -> Path:
-    """Return the run folder of a file in its nn/ or resume/."""
+    """Return the run folder of a file in nn/ or resume/."""
     return run_of_checkpoint(str(file)) or file.absolute().parent.parent
 
 

@@ -3,9 +3,9 @@
 Peng et al. 2021, "AMP: Adversarial Motion Priors for Stylized Physics-Based Character Control"
 (arXiv 2104.02180), in the form of IsaacGymEnvs; docs/amp.md lists the differences.
 
-In the order of an epoch: the rollout stores `amp_obs` of each step, the discriminator rewards them,
-demonstrations and replayed rows are drawn, each minibatch trains policy and discriminator together,
-and the rollout's `amp_obs` enter the replay buffer. `common_agent` has the loops.
+The file follows an epoch. The rollout stores `amp_obs` of each step, and the discriminator rewards
+them. Demonstrations and replayed rows are drawn, and each minibatch trains policy and discriminator
+together. At the end the rollout's `amp_obs` enter the replay buffer.
 """
 
 from __future__ import annotations
@@ -32,18 +32,14 @@ from isaacgymenvs_lite.learning.modules.discriminator import (
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.restoring import Parts
-from isaacgymenvs_lite.learning.warm_start import (
-    NUM_SAMPLES,
-    actor_parameters,
-    clone_actions,
-)
+from isaacgymenvs_lite.learning.warm_start import NUM_SAMPLES, actor_parameters, clone_actions
 
 log = logging.getLogger(__name__)
 
-# How much an epoch changes `AMPAgent.staying_up`: half of a change in 14 epochs.
+# Smoothing of `AMPAgent.staying_up`: half of a change arrives after 14 epochs.
 _PER_EPOCH = 0.05
-# Mean lengths of training episodes, as shares of the time limit, at which a policy begins to stay
-# up, and stays up; exploration makes policies fall that would not fall without.
+# Mean episode lengths, as shares of the time limit, at which `staying_up` leaves 0 and reaches 1.
+# Exploration noise shortens training episodes.
 _BEGINS_TO_STAY_UP, _STAYS_UP = 0.3, 0.6
 _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 
@@ -51,16 +47,15 @@ _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 class AMPAgent(StyleLosses, CommonAgent):
     """The agent of `algo: name: amp_continuous` or `amp`, with the logistic style reward.
 
-    A script that registers this class as `amp_agent`, as IsaacGymEnvs does, gets the same reward;
-    `registration.register` gives that name to `LeastSquaresAMPAgent`. The task is an `AMPEnv`.
+    The task is an `AMPEnv`.
 
     Attributes:
         default_disc_reward: the style reward when the key `disc_reward` is absent.
-        params_class: the keys that it reads in addition to PPO's.
-        env_contract: the members that it needs of a task.
-        discriminator: its network, normaliser and reward.
+        params_class: dataclass of the agent's keys in addition to PPO's.
+        env_contract: Protocol that the task must fulfil.
+        discriminator: network, normaliser and style reward.
         frozen_until: last epoch in which the actor does not learn, after a warm start.
-        staying_up: how far the policy has learned to stay up, 0 to 1, smoothed over epochs.
+        staying_up: share of the time limit that episodes reach, rescaled to 0..1 and smoothed.
     """
 
     frozen_until = 0
@@ -112,15 +107,12 @@ class AMPAgent(StyleLosses, CommonAgent):
         if self._max_episode_steps is None and self._amp.disc_grad_penalty_final is not None:
             log.info("disc_grad_penalty is constant: the task has no max_episode_length")
         self._amp_obs_size = disc_obs_size(AMPObsShape.from_task(self._env), self._amp)
-        # True if some environments act without exploration noise.
+        # If this is True, some environments act without exploration noise.
         self._masks_exploration = self._amp.enable_eps_greedy
         self._amp_minibatch_size = min(self._amp.amp_minibatch_size, self.minibatch_size)
 
     def _build_net_config(self) -> dict[str, Any]:
-        return {
-            **super()._build_net_config(),
-            "amp_input_shape": (self._amp_obs_size,),
-        }
+        return {**super()._build_net_config(), "amp_input_shape": (self._amp_obs_size,)}
 
     def _build_modules(self) -> None:
         super()._build_modules()
@@ -131,7 +123,7 @@ class AMPAgent(StyleLosses, CommonAgent):
             self.default_disc_reward,
             self.ppo_device,
         )
-        # A subclass' loss as published has three arguments and computes the gradient itself.
+        # The published loss has three arguments and computes the gradient itself.
         self._disc_loss_takes_gradient = accepts(self._disc_loss, 4)
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
@@ -142,12 +134,12 @@ class AMPAgent(StyleLosses, CommonAgent):
         return [{"params": others}, {"params": disc, "lr": self._amp.disc_learning_rate}]
 
     def init_tensors(self) -> None:
-        """Allocate the rollout, AMP observations included, and the discriminator's buffers."""
+        """Allocate the rollout and the discriminator's buffers."""
         super().init_tensors()
         self._build_amp_buffers()
 
     def _build_amp_buffers(self) -> None:
-        """Allocate the buffers of the rollout, of demonstrations and of replayed rows."""
+        """Allocate the rollout's `amp_obs`, and the buffers of demonstrations and replayed rows."""
         self.experience_buffer.tensor_dict["amp_obs"] = torch.zeros(
             self.horizon_length, self.num_actors, self._amp_obs_size, device=self.ppo_device
         )
@@ -167,7 +159,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         self._amp_replay_buffer = ReplayBuffer(self._amp.amp_replay_buffer_size, self.ppo_device)
 
     def _build_rand_action_probs(self) -> None:
-        """Set `_rand_action_probs` (N,), the probability of exploration noise per environment."""
+        """Set `_rand_action_probs` (N,), the probability of exploration noise."""
         self._rand_action_probs = torch.ones(self.num_actors, device=self.ppo_device)
         if self._amp.enable_eps_greedy:
             self._rand_action_probs = exploration_probs(self.num_actors).to(self.ppo_device)
@@ -179,14 +171,11 @@ class AMPAgent(StyleLosses, CommonAgent):
             self._warm_start()
 
     def _warm_start(self) -> None:
-        """Teach the mean action to follow the reference motions, if the task shows how.
-
-        Every process does so; rl_games then copies the first one's networks to all.
-        """
+        """Train the mean action to follow the reference motions, if their actions are known."""
         start_s = time.monotonic()
         demo = self._fetch_tracking_demo()
         if demo is None or not self.model.a2c_network.separate:
-            log.info("no warm start: the clips do not show all that the policy receives")
+            log.info("no warm start: the clips do not provide all observations of the policy")
             return
         log.info("warm start: %d steps on the clips", self._amp.warm_start_steps)
         normalizer = self.model.running_mean_std if self.normalize_input else None
@@ -195,10 +184,10 @@ class AMPAgent(StyleLosses, CommonAgent):
         error = clone_actions(self.model, normalizer, demo, steps, noise, latents)
         self.frozen_until = self._amp.warm_start_frozen_epochs
         taken_s = time.monotonic() - start_s
-        log.info("warm start: follows the clips' actions to %.3f, %.1f s", error, taken_s)
+        log.info("warm start: action error %.3f after %.1f s", error, taken_s)
 
     def _fetch_tracking_demo(self) -> TrackingDemo | None:
-        """Return moments of the clips as the networks receive them; None if there are none."""
+        """Return samples of the clips as inputs of the networks; None if the task has none."""
         fetch = getattr(self._env, "fetch_tracking_demo", None)
         fetched = None if fetch is None else fetch(NUM_SAMPLES, self._observes_goal)
         if fetched is None:
@@ -208,7 +197,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         return TrackingDemo(inputs, actions, self.discriminator.truncate(amp_obs))
 
     def _tracking_latents(self, demo: TrackingDemo) -> Tensor | None:
-        """Return the latents (n, Z) under which the actor learns a demonstration; None: none."""
+        """Return latents (n, Z) for the actor's inputs in a demonstration; None without latents."""
         return None
 
     def _init_amp_demo_buf(self) -> None:
@@ -218,7 +207,7 @@ class AMPAgent(StyleLosses, CommonAgent):
             self._store_demos()
 
     def _update_amp_demos(self) -> None:
-        """Add new demonstrations to the buffer; called once per epoch."""
+        """Add new demonstrations to the buffer once per epoch."""
         self._store_demos()
 
     def _store_demos(self) -> None:
@@ -232,7 +221,7 @@ class AMPAgent(StyleLosses, CommonAgent):
     # --- rollout ---------------------------------------------------------------------------
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Sample actions; `_rand_action_probs` decide where it is the mean action."""
+        """Sample actions; `_rand_action_probs` selects environments that take the mean action."""
         result = super().get_action_values(obs)
         if self._masks_exploration:
             self._explored = torch.bernoulli(self._rand_action_probs)
@@ -260,7 +249,7 @@ class AMPAgent(StyleLosses, CommonAgent):
     # --- training set ----------------------------------------------------------------------
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
-        """As CommonAgent, with AMP observations of the rollout, of earlier ones and of clips."""
+        """Fill the dataset, including AMP observations of rollout, replay buffer and clips."""
         task, style = (self._rollout_rewards[name] for name in ("task_rewards", "disc_rewards"))
         of_task = (self._amp.task_reward_w * task.mean()).abs()
         of_style = (self._amp.disc_reward_w * style.mean()).abs()
@@ -276,15 +265,12 @@ class AMPAgent(StyleLosses, CommonAgent):
                 self.dataset.values_dict[name] = batch_dict[name]
 
     def _schedule_grad_penalty(self) -> None:
-        """Lower the gradient penalty as episodes become longer, if it has a final value.
-
-        From `disc_grad_penalty` to `disc_grad_penalty_final` by a constant factor.
-        """
+        """Lower the gradient penalty towards its final weight as episodes become longer."""
         final, max_steps = self._amp.disc_grad_penalty_final, self._max_episode_steps
         if final is None or max_steps is None:
             return
         episodes = self.game_lengths.current_size
-        # Of all processes; in one of them no episode may have ended yet.
+        # The sum is over all processes; one process alone may have no episode yet.
         sums = torch.tensor([episodes, episodes * self.game_lengths.get_mean().item()])
         episodes, steps = current_group().sum_(sums).tolist()
         if episodes > 0:
@@ -298,10 +284,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         self.collect({"disc_grad_penalty_weight": torch.tensor(weight)})
 
     def _draw_disc_rows(self, batch_dict: dict[str, Any]) -> None:
-        """Add `amp_obs_demo`, from the clips, and `amp_obs_replay`, from earlier rollouts.
-
-        Before the first update the rollout's own rows take the place of earlier ones.
-        """
+        """Add `amp_obs_demo` from clips, and `amp_obs_replay` from earlier rollouts."""
         fakes = batch_dict["amp_obs"]
         batch_dict["amp_obs_demo"] = self._amp_obs_demo_buffer.sample(len(fakes))["amp_obs"]
         if self._amp_replay_buffer.get_total_count() > 0:
@@ -309,11 +292,11 @@ class AMPAgent(StyleLosses, CommonAgent):
         batch_dict["amp_obs_replay"] = fakes
 
     def prepare_minibatch(self, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """As CommonAgent, with the weights of rows that explored and noise on AMP observations."""
+        """Add row weights that mask rows without exploration, and noise on AMP observations."""
         rows = super().prepare_minibatch(minibatch)
         if self._masks_exploration:
             mask = minibatch["rand_action_mask"]
-            share = current_group().mean(mask.mean())  # of rows that explored
+            share = current_group().mean(mask.mean())
             rows["row_weights"] = mask / share.clamp(min=1.0 / len(mask))
         if self._amp.disc_input_noise > 0.0:
             for name in _AMP_OBS_KINDS:
@@ -325,7 +308,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         return dict.fromkeys(_AMP_OBS_KINDS, self._amp_minibatch_size)
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return normalised AMP observations, and the noise that is added to them."""
+        """Return normalised AMP observations and their noise."""
         inputs = super()._training_inputs(input_dict)
         for name in _AMP_OBS_KINDS:
             inputs[name] = self._preproc_amp_obs(input_dict[name])
@@ -359,7 +342,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         self._store_replay_amp_obs(batch_dict["amp_obs"])
 
     def _store_replay_amp_obs(self, amp_obs: Tensor, **others: Tensor) -> None:
-        """Store rows (n, F) and other columns: all until the buffer is full, then a few."""
+        """Store rows (n, F) and other columns; a full buffer takes only a random share."""
         rows = {"amp_obs": amp_obs, **others}
         self._amp_replay_buffer.store_some(rows, self._amp.amp_replay_keep_prob)
 
@@ -371,22 +354,22 @@ class AMPAgent(StyleLosses, CommonAgent):
         return replace(parts, modules={**parts.modules, **own})
 
     def get_stats_weights(self, model_stats: bool = False) -> dict[str, Any]:
-        """Return normaliser statistics; AMP's have a key of their own, as in IsaacGymEnvs."""
+        """Return normaliser statistics; the AMP normaliser has IsaacGymEnvs' key."""
         own = self.discriminator.checkpoint_modules
         states = {key: module.state_dict() for key, module in own.items()}
         return {**super().get_stats_weights(model_stats), **states}
 
     def set_stats_weights(self, weights: dict[str, Any]) -> None:
-        """Load the statistics of a checkpoint."""
+        """Load normaliser statistics."""
         super().set_stats_weights(weights)
         for key, module in self.discriminator.checkpoint_modules.items():
             module.load_state_dict(weights[key])
 
 
 def exploration_probs(num_envs: int) -> Tensor:
-    """Return (N,) the probability of exploration noise per environment, from 1 to 0 (as ASE).
+    """Return each environment's probability of exploration noise (N,), as in ASE.
 
-    1 - exp(10 (i / (N - 1) - 1)) for environment i; a single environment always explores.
+    Environment i has 1 - exp(10 (i / (N - 1) - 1)); a single environment always explores.
     """
     if num_envs == 1:
         return torch.ones(1)
@@ -396,9 +379,9 @@ def exploration_probs(num_envs: int) -> Tensor:
 
 
 class LeastSquaresAMPAgent(AMPAgent):
-    """`algo: name: amp_agent`: AMPAgent with the paper's bounded style reward by default.
+    """The agent of `algo: name: amp_agent`: the paper's bounded style reward is its default.
 
-    Only `registration.register` gives it that name; AMPAgent has the logistic reward.
+    IsaacGymEnvs' scripts register AMPAgent under this name, and get the logistic reward.
     """
 
     default_disc_reward = "least_squares"

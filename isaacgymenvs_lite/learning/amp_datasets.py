@@ -1,4 +1,4 @@
-"""The training set of one epoch, served in random minibatches."""
+"""The dataset of one epoch, served in random minibatches."""
 
 from __future__ import annotations
 
@@ -14,14 +14,10 @@ from isaacgymenvs_lite.learning.published_names import PublishedNames
 class AMPDataset(PublishedNames, PPODataset):
     """rl_games' dataset with random minibatches.
 
-    A permutation of all rows is drawn at the start and again after the last minibatch of every
-    pass, so that each pass sees every row once. Means and standard deviations of the policy stay
-    the rollout's: unlike in rl_games they are not rewritten between minibatches.
+    Every pass sees each row once, in an order that is drawn after the last minibatch of the pass
+    before. Unlike in rl_games, means and standard deviations of the policy stay the rollout's.
 
-    Args:
-        batch_size, minibatch_size, is_discrete, is_rnn, device, seq_length: as in rl_games.
-        row_limits: name -> how many rows of a minibatch are read, the first ones; the others are
-            not gathered.
+    `row_limits` limits the rows of each field in a minibatch (default: all rows).
     """
 
     def __init__(
@@ -39,15 +35,11 @@ class AMPDataset(PublishedNames, PPODataset):
         self._idx_buf = torch.randperm(self.batch_size, device=self.device)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the order of the next rows."""
+        """Return the order of the rows."""
         return {"order": self._idx_buf.cpu().clone()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the order of a set of the same size, or smaller where rows were left out.
-
-        Raises:
-            ValueError: the set had more rows.
-        """
+        """Restore the order of a dataset; diverged simulations may have left out rows of it."""
         order = state["order"]
         is_order = torch.equal(order.sort().values, torch.arange(len(order)))
         if not is_order or len(order) > self.batch_size:
@@ -55,7 +47,7 @@ class AMPDataset(PublishedNames, PPODataset):
         self._idx_buf = order.to(self.device)
 
     def update_values_dict(self, values_dict: dict[str, Any]) -> None:
-        """Set the rows of an epoch, `batch_size` each."""
+        """Set the `batch_size` rows of an epoch."""
         super().update_values_dict(values_dict)
         if len(self._idx_buf) != self.batch_size:
             self._shuffle_idx_buf()

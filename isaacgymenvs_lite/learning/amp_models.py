@@ -10,12 +10,11 @@ from isaacgymenvs_lite.learning.modules.discriminator import eval_discriminator
 
 
 class ModelAMPContinuous(ModelA2CContinuousLogStd):
-    """`model: name: continuous_amp`; normalisers of observations and values live inside it.
+    """`model: name: continuous_amp`, with the normalisers of observations and values inside.
 
     A training input with `amp_obs`, `amp_obs_replay` and `amp_obs_demo` (normalised, (K, F) each)
-    adds `disc_agent_logit`, `disc_agent_replay_logit` and `disc_demo_logit` (K, 1), and
-    `disc_demo_gradient` (K, F) to the outputs. `amp_obs_noise`, `amp_obs_replay_noise` and
-    `amp_obs_demo_noise` (K, F), if given, are added to the discriminator's inputs.
+    also returns the values of `eval_discriminator`. `amp_obs_noise`, `amp_obs_replay_noise` and
+    `amp_obs_demo_noise` (K, F) are added to these inputs if they are given.
     """
 
     def __init__(self, network: Any) -> None:
@@ -35,6 +34,6 @@ class ModelAMPContinuous(ModelA2CContinuousLogStd):
             return result
 
         def _disc_inputs(self, input_dict: dict[str, Any], kind: str) -> tuple[Any, ...]:
-            """Return the arguments of `eval_disc` for the rows of a kind."""
+            """Return the arguments of `eval_disc` for the rows named `kind`."""
             rows, noise = input_dict[kind], input_dict.get(f"{kind}_noise")
             return (rows if noise is None else rows + noise,)

@@ -23,26 +23,14 @@ DEFAULT_INITIALIZER = {"name": "default"}
 class AMPBuilder(A2CBuilder):
     """Builds the network of the section `network:` with `name: amp`.
 
-    Parameters have the names of IsaacGymEnvs, so that its checkpoints load:
-    `sigma, actor_mlp, critic_mlp, value, mu, _disc_mlp, _disc_logits`.
+    Parameters have IsaacGymEnvs' names, and its checkpoints load: `sigma, actor_mlp, critic_mlp,
+    value, mu, _disc_mlp, _disc_logits`.
     """
 
     class Network(DiscriminatorLayers, ActorCriticNetwork):
-        """Actor, critic and discriminator.
+        """Actor, critic and discriminator for AMP observations of shape `amp_input_shape`."""
 
-        Args:
-            params: the section `network:`.
-            kwargs: rl_games' build arguments and `amp_input_shape`, (F,).
-
-        Raises:
-            ConfigError: recurrent or convolutional networks, or no section `disc:`.
-        """
-
-        row_functions = (
-            *ActorCriticNetwork.row_functions,
-            "eval_disc",
-            "eval_disc_with_gradient",
-        )
+        row_functions = (*ActorCriticNetwork.row_functions, "eval_disc", "eval_disc_with_gradient")
 
         def __init__(self, params: dict[str, Any], **kwargs: Any) -> None:
             amp_input_shape = kwargs.pop("amp_input_shape")
@@ -50,7 +38,7 @@ class AMPBuilder(A2CBuilder):
             self._build_disc(amp_input_shape)
 
         def load(self, params: dict[str, Any]) -> None:
-            """Read the section `network:`; rl_games calls this before the layers are built."""
+            """Read the section `network:` before the layers are built."""
             super().load(params)
             if "disc" not in params:
                 raise ConfigError(
@@ -63,35 +51,32 @@ class AMPBuilder(A2CBuilder):
             self._disc_initializer = disc.get("initializer", DEFAULT_INITIALIZER)
 
         def _build_disc(self, input_shape: tuple[int, ...]) -> None:
-            """Build the discriminator's layers, for inputs (n, input_shape[0])."""
-            if len(self._disc_units) == 0:
-                raise ConfigError(
-                    "train.params.network.disc.units=[]: expected at least one hidden layer"
-                )
-            hidden = self._hidden_layers(
-                input_shape[0], self._disc_units, self._disc_activation, self._disc_initializer
-            )
-            self._set_disc_layers(hidden, self._disc_units[-1])
+            """Build the discriminator's layers for inputs (n, input_shape[0])."""
+            units, activation = self._disc_units, self._disc_activation
+            how = (units, activation, self._disc_initializer)
+            self._set_disc_layers(self._hidden_layers("disc", input_shape[0], *how), units[-1])
 
         def _hidden_layers(
             self,
+            section: str,
             inputs: int,
             units: Sequence[int],
             activation: str,
             initializer: dict[str, Any],
         ) -> nn.Module:
-            """Return initialised layers with the activation behind each."""
+            """Return a section's initialised layers, each followed by the activation."""
+            if not units:
+                raise ConfigError(
+                    f"train.params.network.{section}.units=[]: expected at least one hidden layer"
+                )
             layers = self._build_mlp(
-                input_size=inputs,
-                units=list(units),
-                activation=activation,
-                dense_func=nn.Linear,
+                input_size=inputs, units=list(units), activation=activation, dense_func=nn.Linear
             )
             self._init_linear(layers, initializer)
             return layers
 
         def _init_linear(self, module: nn.Module, initializer: dict[str, Any]) -> None:
-            """Initialise linear layers, their biases with zeros."""
+            """Initialise linear layers, with zero biases."""
             init = self.init_factory.create(**initializer)
             for layer in module.modules():
                 if isinstance(layer, nn.Linear):
@@ -99,5 +84,5 @@ class AMPBuilder(A2CBuilder):
                     nn.init.zeros_(layer.bias)
 
     def build(self, name: str, **kwargs: Any) -> AMPBuilder.Network:
-        """Build the network; rl_games calls this through the model."""
+        """Build the network."""
         return AMPBuilder.Network(self.params, **kwargs)

@@ -1,4 +1,4 @@
-"""Players of AMP policies: they also measure the style reward."""
+"""Players of AMP policies, which also measure the style reward."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 class AMPPlayerContinuous(StyleRewards, CommonPlayer):
     """The player of `amp_continuous` and `amp`.
 
-    The key `print_disc_prediction` in `params.config` logs the discriminator's logit and reward of
+    `print_disc_prediction` in `params.config` logs the discriminator's logit and reward of
     environment 0 at every step.
     """
 

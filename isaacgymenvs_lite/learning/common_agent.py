@@ -1,10 +1,7 @@
-"""CommonAgent: PPO as IsaacGymEnvs' CommonAgent has it, and the only rollout and update loop here.
+"""PPO with the rollout and update loops that the AMP, GenAMP and HRL agents share.
 
-rl_games' `train()` calls `train_epoch` once per epoch, so that checkpoints and stop rules are
-rl_games'. The file follows an epoch: constructor, epoch, rollout, training set, gradient step,
-loss, learning rate, log, checkpoint. Agents override the methods that the loops call, never the
-loops. Methods that the agents of IsaacGymEnvs or ASE have too keep their names and arguments;
-`published_names` lists the names that are not here. N environments, horizon H, batch B = N * H.
+rl_games' `train()` calls `train_epoch` once per epoch. Agents override the methods that the loops
+call, never the loops. Shapes: N environments, horizon H, A actions, batch B = N * H.
 """
 
 from __future__ import annotations
@@ -31,47 +28,37 @@ from isaacgymenvs_lite.learning.modules.running_mean_std import (
     count_in_jointly,
     normalize_advantages,
 )
-from isaacgymenvs_lite.learning.published_names import (
-    AGENT_NAMES,
-    ExplainedNames,
-    is_overridden,
-)
+from isaacgymenvs_lite.learning.published_names import AGENT_NAMES, ExplainedNames
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards, leave_out_nccl
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 LossTerms = dict[str, tuple[float, Tensor]]
-"""{name: (weight, term)}: the loss is the weighted sum of the terms, which are means over rows.
-Terms are logged under their names; a weight of 0 only logs."""
+"""{name: (weight, term)}: the loss is the weighted sum of the terms. Each term is a mean over rows
+and is logged under its name; a weight of 0 only logs the term."""
 
 
 class CommonAgent(ExplainedNames, PPOSafeguards):
     """PPO that resets ended episodes before it acts, and bootstraps with the value after each step.
 
-    `PPOSafeguards` restores, saves, and checks that values are finite; its base is rl_games'
-    A2CAgent. docs/amp.md lists the differences from rl_games.
+    Its methods keep the names and arguments of IsaacGymEnvs' and ASE's agents. docs/amp.md lists
+    the differences from rl_games.
 
     Attributes:
-        scalars: name of a collected scalar -> its name in TensorBoard.
+        scalars: name of a collected scalar -> its tag in TensorBoard.
         unsupported_keys: keys of `params.config` that rl_games has and these agents refuse.
-        control_steps_per_action: steps of the environment that `env_step` makes; frames count them.
+        control_steps_per_action: environment steps that one `env_step` makes and that count as
+            frames.
         train_log: scalars of the current epoch by name, one for each minibatch or epoch.
         has_restored: whether a checkpoint was loaded.
 
-    Args:
-        base_name: name for rl_games' bookkeeping.
-        params: the section `params` of a train file, prepared by the Runner.
-        config: the same under the published name.
-
     Raises:
-        ConfigError: a key that this family of agents does not support.
-        OverrideError: a subclass overrides what is not called here; at its definition.
+        ConfigError: this family of agents does not support a key.
+        OverrideError: a subclass overrides a method that nothing calls here.
     """
 
     replaced: ClassVar[dict[str, str]] = AGENT_NAMES
     scalars: ClassVar[dict[str, str]] = {"actor_clip_frac": "info/clip_frac"}
-    unsupported_keys: ClassVar[tuple[str, ...]] = (
-        *("normalize_rms_advantage", "self_play_config", "use_action_masks"),
-    )
+    unsupported_keys: ClassVar[tuple[str, ...]] = ("self_play_config",)
     control_steps_per_action = 1
     has_restored = False
     stored_episodes = ("dataset",)
@@ -94,11 +81,11 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self._section = given_params(params, config)
         if not isinstance(self._section.get("config"), Mapping):
             raise ConfigError(
-                "an agent's params have no section 'config': expected the section params of a"
-                " train file (algo, model, network, config), as rl_games' Runner passes it"
+                "params has no section config; expected the section params of a train file: algo,"
+                " model, network and config"
             )
         self._precision = _prepare_settings(self._section["config"], self.unsupported_keys)
-        # Not A2CAgent's constructor: it builds the model before the agent's own keys are read.
+        # A2CAgent's own constructor would build the model before the agent reads its keys.
         ContinuousA2CBase.__init__(self, base_name, self._section)
         self._check_batch_size()
         self.network_path = self.nn_dir
@@ -108,7 +95,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self._build_modules()
         self.last_lr = float(self.last_lr)
         self._learned = [p for p in self.model.parameters() if p.requires_grad]
-        self._frozen: list[torch.nn.Parameter] = []  # does not learn in this epoch
+        self._frozen: list[torch.nn.Parameter] = []  # Adam skips these in this epoch.
         decay = self.weight_decay
         self.optimizer = torch.optim.Adam(
             self._parameter_groups(), self.last_lr, eps=1e-8, weight_decay=decay, fused=True
@@ -126,8 +113,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self._epoch_info: dict[str, Any] = {}
         self._rollout_rewards: dict[str, Tensor] = {}
         self._mask = RolloutMask(self.horizon_length)
-        # A policy call returns the model's values, not the values of a subclass' own critic.
-        self._has_own_critic = is_overridden(self, CommonAgent._eval_critic)
+        # A policy call returns the model's values; a subclass may have a critic of its own.
+        self._has_own_critic = type(self)._eval_critic is not CommonAgent._eval_critic
         self._restored_best: float | None = None
         self.algo_observer.after_init(self)
 
@@ -135,7 +122,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         """Read the agent's own keys of `params.config`; the networks do not exist yet."""
 
     def _setup_action_space(self) -> None:
-        """Set number and limits of the actions from `env_info`; the networks do not exist yet."""
+        """Set the number and limits of the actions; the networks do not exist yet."""
         box = self.env_info["action_space"]
         self.actions_num = box.shape[0]
         self.actions_low = torch.from_numpy(box.low.copy()).float().to(self.ppo_device)
@@ -153,13 +140,13 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         }
 
     def _build_model(self, mixed_precision: Any) -> None:
-        with one_torch_thread():  # initialisers that factorise differ in the last bits by threads
+        with one_torch_thread():  # The last bits of orthogonal initialisers depend on the threads.
             self.model = self.network.build(self._build_net_config())
             if self.has_central_value:
                 self.central_value_net = _make_central_value(self)
         self.model.to(self.ppo_device)
         self.executor = take_models(self, self.ppo_device, mixed_precision)
-        # As rl_games: with an asymmetric critic the network's own critic may still learn.
+        # rl_games may train the network's own critic in addition to an asymmetric critic.
         own_learns = bool(self.config.get("use_experimental_cv", True))
         self.has_value_loss = own_learns or not self.has_central_value
         self.states = None
@@ -168,33 +155,29 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             raise ConfigError("train.params.network.rnn is not supported by AMP-family agents")
 
     def _build_modules(self) -> None:
-        """Build what an agent needs in addition to the model, which exists."""
+        """Build an agent's own modules; the model already exists."""
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
-        """Return Adam's parameter groups; the first follows the learning rate's schedule.
-
-        Groups keep the order of `model.parameters()` within them.
-        """
+        """Return Adam's parameter groups; the learning rate's schedule changes the first only."""
         return [{"params": list(self.model.parameters())}]
 
     # --- before the first epoch ------------------------------------------------------------
 
     def init_tensors(self) -> None:
-        """Allocate the rollout buffers; rl_games calls this once before training."""
+        """Allocate the rollout buffers."""
         super().init_tensors()
         buffer = self.experience_buffer.tensor_dict
         buffer["next_values"] = torch.zeros_like(buffer["values"])
 
     def env_reset(self) -> Any:
-        """Reset the environment at the start of training, and keep the restored best reward.
+        """Reset the environment at the start of training, and restore the best reward.
 
-        The networks have threads of their own; the rest is too small to be split by torch's.
-        rl_games forgets the best reward of a checkpoint between restoring and training, and
-        would overwrite the best checkpoint by a worse one. Calls `_init_train`.
+        rl_games forgets the best reward between restoring and training, and would overwrite the
+        best checkpoint by a worse one.
         """
         if self._restored_best is not None:
             self.last_mean_rewards, self._restored_best = self._restored_best, None
-        torch.set_num_threads(1)
+        torch.set_num_threads(1)  # Only the networks are large enough for several threads.
         task = getattr(self.vec_env, "env", None)
         if hasattr(task, "is_training"):
             task.is_training = True  # type: ignore[union-attr]
@@ -202,7 +185,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return super().env_reset()
 
     def _init_train(self) -> None:
-        """Called once, before the first rollout: buffers exist, environments are not reset yet."""
+        """Prepare the first rollout: buffers exist, and the environments are not reset yet."""
 
     # --- epoch -----------------------------------------------------------------------------
 
@@ -252,11 +235,11 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         )
 
     # --- rollout ---------------------------------------------------------------------------
-    # V(s') of every step costs at most one call of the critic per rollout: where the episode goes
-    # on, the policy call of the next step evaluates the same observation.
+    # V(s') of every step costs at most one call of the critic per rollout. The policy call of the
+    # next step already evaluates the same observation where the episode continues.
 
     def play_steps(self) -> dict[str, Any]:
-        """Roll the policy out for `horizon_length` steps; rows are (environment, step)-major."""
+        """Roll the policy out for `horizon_length` steps; row e * H + t is environment e at t."""
         buffer = self.experience_buffer
         next_values = buffer.tensor_dict["next_values"].zero_()
         queue: list[tuple[Tensor, dict[str, Tensor]]] = []
@@ -298,15 +281,15 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return self._rollout_batch(step_time_s)
 
     def _env_reset_done(self) -> tuple[Any, Tensor]:
-        """Reset ended episodes; return all observations, and the environments (n,)."""
+        """Reset ended episodes; return all observations, and which environments (n,) were reset."""
         obs, env_ids = self.vec_env.reset_done()
         return self.obs_to_tensors(obs), env_ids
 
     def _after_reset(self, env_ids: Tensor) -> None:
-        """Called before each policy step with the environments (n,) whose episodes start there."""
+        """Prepare a policy step, given the environments (n,) whose episodes start there."""
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Sample actions; values are denormalised, of the asymmetric critic if there is one."""
+        """Sample actions and evaluate their values, with the asymmetric critic if there is one."""
         result = self._evaluate_policy(obs, self._policy_inputs())
         if self.has_central_value:
             with torch.no_grad():
@@ -334,11 +317,11 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             )
 
     def _needs_next_value(self) -> Tensor:
-        """Return (N,) bool: rows whose observation or inputs change before the next policy step."""
+        """Return (N,) bool: environments whose policy inputs change before the next policy step."""
         return self.dones.bool()
 
     def _rows_to_evaluate(self, n: int, rows: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return where V(s') of rows (N,) bool after step n belongs, and the critic's inputs."""
+        """Return places of V(s') in the flat rollout, and critic inputs, for rows (N,) bool."""
         env_ids = rows.nonzero().flatten()
         inputs = {"obs": self._preproc_obs(self.obs["obs"]), **self._policy_inputs()}
         if self.has_central_value:
@@ -347,12 +330,12 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return n * len(rows) + env_ids, queued
 
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
-        """Store what an agent needs of step n."""
+        """Store an agent's own columns of step n."""
 
     def _track_episodes(
         self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
     ) -> None:
-        """Update the statistics of episodes, and the observers."""
+        """Update episode statistics and observers."""
         finished = self.dones.nonzero(as_tuple=False)[:: self.num_agents]
         diverged = diverged_in(infos, finished.device)
         counted = finished if diverged is None else finished[~diverged[finished.flatten()]]
@@ -368,11 +351,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self.algo_observer.process_infos(infos, finished)
 
     def _eval_critic(self, obs_dict: dict[str, Tensor]) -> Tensor:
-        """Return denormalised values (n, values) of raw observations `obs` and policy inputs.
-
-        The critic is called without the model around it, which would normalise the observation. The
-        asymmetric critic reads `states` instead.
-        """
+        """Return denormalised values (n, values) of raw `obs` or `states`, and policy inputs."""
         inputs = dict(obs_dict)
         with torch.no_grad():
             if self.has_central_value:
@@ -387,7 +366,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         rewards = self._total_rewards(buffer["rewards"])
         kept = self._mask.kept
         if kept is not None:
-            # The advantage of a row that is left out is zero: earlier returns end with its value.
+            # A diverged row gets advantage zero; earlier returns then end with its value.
             rewards = torch.where(kept.unsqueeze(-1), rewards, buffer["values"])
             buffer["next_values"].masked_fill_(~kept.unsqueeze(-1), 0.0)
         advantages = self.discount_values(
@@ -404,11 +383,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return batch
 
     def _total_rewards(self, task_rewards: Tensor) -> Tensor:
-        """Return the rewards (H, N, values) to learn from, given the shaped task rewards.
-
-        Sets `self._rollout_rewards` to the terms, {name: (H, N, values)}: they join the batch, and
-        their means and standard deviations are collected.
-        """
+        """Return rewards (H, N, values) to learn from, and store their terms in the agent."""
         return task_rewards
 
     def discount_values(  # type: ignore[override]  # IsaacGymEnvs' CommonAgent has these arguments
@@ -420,9 +395,9 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
         Args:
             mb_fdones: (H, N) whether the episode ended in this step.
-            mb_values: (H, N, values) of the state before each step.
-            mb_rewards: (H, N, values).
-            mb_next_values: (H, N, values) of the state after each step, zero after failures.
+            mb_values: (H, N, values) values of the state before each step.
+            mb_rewards: (H, N, values) rewards.
+            mb_next_values: (H, N, values) values of the state after each step, zero after failures.
         """
         advantages = torch.empty_like(mb_rewards)
         not_done = (1.0 - mb_fdones.to(mb_rewards.dtype)).unsqueeze(-1)
@@ -434,11 +409,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return advantages
 
     def mean_policy(self, env: Env) -> Callable[[dict[str, Tensor]], Tensor]:
-        """Return the policy for `env`, another task of the same kind: mean actions without noise.
-
-        Args:
-            env: where the policy will act, from its first reset on.
-        """
+        """Return the policy without noise for `env`, another task of the same kind."""
         inputs = self._evaluation_inputs(env)
 
         def act(obs: dict[str, Tensor]) -> Tensor:
@@ -450,30 +421,27 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return act
 
     def _evaluation_inputs(self, env: Env) -> Callable[[], dict[str, Tensor]]:
-        """Return a function that returns what `_policy_inputs` would, for each step of `env`."""
+        """Return a function that computes `_policy_inputs` for each step of `env`."""
         return dict
 
     # --- training set ----------------------------------------------------------------------
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
-        """Normalise values and advantages, and pass all rows to the dataset."""
+        """Normalise values and advantages, and fill the dataset."""
         num_rows = current_group().smallest(self._enough_rows(len(batch_dict["returns"])))
         fit_datasets(self, num_rows)
         super().prepare_dataset(batch_dict)
         self.dataset.values_dict["advantages"] = self._calc_advs(batch_dict)
 
     def _calc_advs(self, batch_dict: dict[str, Any]) -> Tensor:
-        """Return (B,) the advantages to learn from, of raw `returns` and `values` (B, values).
-
-        Only rows that explored count in mean and standard deviation, if some did not.
-        """
+        """Return advantages (B,); only rows that explored count for mean and deviation."""
         advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
         if not self.normalize_advantage:
             return advantages
         return normalize_advantages(advantages, batch_dict.get("rand_action_mask"))
 
     def _dataset_row_limits(self) -> dict[str, int]:
-        """Return how many rows of a minibatch are read, for names whose rows are not all read."""
+        """Return the row limit of each dataset field (default: all)."""
         return {}
 
     def _run_mini_epochs(self) -> list[Tensor]:
@@ -493,12 +461,12 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return kls
 
     def _after_update(self, batch_dict: dict[str, Any]) -> None:
-        """Called with the rollout's rows after the last minibatch."""
+        """Process the rollout's rows after the last minibatch."""
 
     # --- gradient step ---------------------------------------------------------------------
 
     def train_actor_critic(self, input_dict: dict[str, Any]) -> Any:
-        """Take a gradient step; unlike rl_games' it leaves the optimiser's step sizes alone."""
+        """Take a gradient step, and collect its scalars."""
         self.set_train()
         self.calc_gradients(input_dict)
         result: Any = self.train_result
@@ -508,16 +476,16 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def calc_gradients(self, input_dict: dict[str, Tensor]) -> None:
         """Take one gradient step on a minibatch.
 
-        Sets `self.train_result` as the published agents do: `entropy`, `kl`, `last_lr`, `lr_mul`,
-        `b_loss`, `actor_loss`, `actor_clip_frac`, `critic_loss` and the terms that an agent adds,
-        means over the minibatch without gradients.
+        Sets `self.train_result` to means over the minibatch, under the published names: `entropy`,
+        `kl`, `last_lr`, `lr_mul`, `b_loss`, `actor_loss`, `actor_clip_frac`, `critic_loss`, and the
+        agent's own terms.
         """
         rows = self.prepare_minibatch(input_dict)
         gradients, values = self.executor.gradients(self.compute_loss, rows, self._learned)
         for parameter, gradient in zip(self._learned, gradients, strict=True):
             parameter.grad = gradient
         for parameter in self._frozen:
-            parameter.grad = None  # Adam leaves it alone
+            parameter.grad = None  # Adam skips it.
         self.trancate_gradients_and_step()
 
         neglogp = values.pop("neglogp")
@@ -538,8 +506,9 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def prepare_minibatch(self, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Update the running statistics, and return the rows that `compute_loss` needs.
 
-        Several threads compute slices of these rows: what needs all rows at once, or random
-        numbers, is computed here. `row_weights` (M,), of mean 1, weigh the policy's losses.
+        Several threads compute slices of these rows. Random numbers, and values that depend on all
+        rows at once, are therefore drawn here. `row_weights` (M,), of mean 1, weigh the policy's
+        losses.
         """
         inputs = self._normalizer_inputs(minibatch)
         for normalizer, *_ in inputs:
@@ -551,19 +520,19 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return dict(minibatch)
 
     def _normalizer_inputs(self, input_dict: dict[str, Tensor]) -> list[tuple[Any, ...]]:
-        """Return normalisers, each with rows (n, ...) of a minibatch that update it in order."""
+        """Return tuples of a normaliser and the rows (n, ...) that update it in this order."""
         if not self.normalize_input:
             return []
         return [(self.model.running_mean_std, self._preproc_obs(input_dict["obs"]))]
 
     # --- loss ------------------------------------------------------------------------------
-    # Several threads call these at the same time, each with a slice of the minibatch: they must
-    # not change the agent.
+    # Several threads call these methods at the same time, each with a slice of the minibatch. The
+    # methods must not change the agent.
 
     def compute_loss(self, minibatch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss of rows that `prepare_minibatch` returned, and what to log of it.
+        """Return the loss of the rows of `prepare_minibatch`, and values to log.
 
-        The values are the loss terms, `actor_clip_frac` and `kl`, numbers, and `neglogp` (n,).
+        The values are the loss terms, `actor_clip_frac` and `kl` as scalars, and `neglogp` (n,).
         """
         batch = {
             "is_train": True,
@@ -583,10 +552,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         terms = {
             "actor_loss": (1.0, weighted_mean(actor["actor_loss"], minibatch)),
             "critic_loss": (self.critic_coef, critic["critic_loss"].mean()),
-            "b_loss": (
-                self.bounds_loss_coef or 0.0,
-                weighted_mean(self.bound_loss(mu), minibatch),
-            ),
+            "b_loss": (self.bounds_loss_coef or 0.0, weighted_mean(self.bound_loss(mu), minibatch)),
             "entropy": (-self.entropy_coef, weighted_mean(result["entropy"], minibatch)),
             **self._extra_losses(result, batch, minibatch),
         }
@@ -604,14 +570,14 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         if "actor_clipped" in actor:
             clipped = actor["actor_clipped"].float()
             logged["actor_clip_frac"] = weighted_mean(clipped, minibatch)
-        # A subclass may add values, which are logged as numbers.
+        # A subclass may add scalars.
         for name, value in {**actor, **critic}.items():
             if name not in logged and name != "actor_clipped" and isinstance(value, Tensor):
                 logged[name] = value.detach().mean()
         return torch.stack(weighted).sum(), logged
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return inputs of the model in addition to the observation."""
+        """Return the model's inputs in addition to the observation."""
         return {}
 
     def _actor_loss(
@@ -623,8 +589,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     ) -> dict[str, Tensor]:
         """Return `actor_loss` (n,), and `actor_clipped` (n,) bool: ratios outside the clip range.
 
-        PPO's clipped surrogate (Schulman et al. 2017, eq. 7), negated; with `ppo: False` the plain
-        policy gradient. Both log probabilities are negated.
+        PPO's clipped surrogate (Schulman et al. 2017, eq. 7), negated. `ppo: False` selects the
+        plain policy gradient. Both log probabilities are negated.
         """
         ratio = torch.exp(old_action_log_probs_batch - action_log_probs)
         clipped = (ratio - 1.0).abs() > curr_e_clip
@@ -643,9 +609,9 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return_batch: Tensor,
         clip_value: bool,
     ) -> dict[str, Tensor]:
-        """Return `critic_loss` (n, values), squared errors of normalised values.
+        """Return `critic_loss` (n, values): squared errors of normalised values (rl_games: halved).
 
-        `clip_value` clips around the old values. rl_games halves the loss.
+        `clip_value` clips the values to `curr_e_clip` around the old values.
         """
         loss = (return_batch - values) ** 2
         if clip_value:
@@ -654,26 +620,20 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return {"critic_loss": loss}
 
     def bound_loss(self, mu: Tensor) -> Tensor:
-        """Return (n,) the squared excess of mean actions (n, A) over +-1 (rl_games: 1.1)."""
+        """Return squared excesses (n,) of mean actions (n, A) over +-1 (rl_games: 1.1)."""
         excess = mu.abs().sub(1.0).clamp(min=0.0)
         return (excess * excess).sum(dim=-1)
 
     def _extra_losses(
         self, result: dict[str, Tensor], batch: dict[str, Any], input_dict: dict[str, Tensor]
     ) -> LossTerms:
-        """Return loss terms in addition to PPO's; see `LossTerms`.
-
-        Args:
-            result: the model's output.
-            batch: the model's input.
-            input_dict: the rows of the slice.
-        """
+        """Return an agent's own loss terms for a slice, given the model's outputs and inputs."""
         return {}
 
     # --- learning rate ---------------------------------------------------------------------
 
     def _schedule_learning_rate(self, kl: Tensor) -> None:
-        # Only the adaptive schedule looks at the KL, and reading it waits for the device.
+        # Only the adaptive schedule needs the KL; `item` waits for the device.
         value = current_group().mean(kl).item() if self.is_adaptive_lr else 0.0
         self._advance_schedule(value)
         self.update_lr(self.last_lr)
@@ -684,7 +644,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         )
 
     def update_lr(self, lr: float) -> None:
-        """Set the step size of all parameters but those that have one of their own."""
+        """Set the learning rate of all parameter groups without a rate of their own."""
         fixed = [group["lr"] for group in self.optimizer.param_groups[1:]]
         super().update_lr(lr)
         for group, own_lr in zip(self.optimizer.param_groups[1:], fixed, strict=True):
@@ -693,36 +653,30 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     # --- log -------------------------------------------------------------------------------
 
     def collect(self, scalars: Mapping[str, Any]) -> None:
-        """Keep the tensors among the scalars of a minibatch or an epoch in `train_log`."""
+        """Append the tensors among these scalars to `train_log`."""
         for name, value in scalars.items():
             if isinstance(value, Tensor):
                 self.train_log.setdefault(name, []).append(value)
 
     def train_info_means(self) -> dict[str, float]:
-        """Return the epoch means of all collected scalars."""
+        """Return the epoch's means of all collected scalars."""
         return {name: torch_ext.mean_list(each).item() for name, each in self.train_log.items()}
 
     def _record_train_batch_info(
         self, batch_dict: dict[str, Any], train_info: dict[str, Any]
     ) -> None:
-        """Add to `train_info` what `_log_train_info` needs of the rollout's rows."""
+        """Add the rollout's reward terms to `train_info`, which `_log_train_info` reads."""
         for name in self._rollout_rewards:
             train_info[name] = batch_dict[name]
 
     def _log_train_info(self, train_info: dict[str, Any], frame: int) -> None:
-        """Write the scalars of an epoch.
-
-        Args:
-            train_info: lists with one value for each minibatch, by the names of `train_result`,
-                and what `_record_train_batch_info` added.
-            frame: environment steps before the epoch.
-        """
+        """Write an epoch's means to TensorBoard; `frame` is the first frame of the epoch."""
         for name, tag in self.scalars.items():
             if name in train_info:
                 self.writer.add_scalar(tag, torch_ext.mean_list(train_info[name]).item(), frame)
 
     def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:
-        """Write rl_games' scalars and those that IsaacGymEnvs' CommonAgent adds."""
+        """Write rl_games' scalars and the additional scalars of IsaacGymEnvs' CommonAgent."""
         self._check_finite({name: torch.stack(each) for name, each in self.train_log.items()})
         (_step_time, play_time, update_time, *_rest) = args
         frame, scaled_time, _scaled_play_time, curr_frames = args[-4:]
@@ -742,47 +696,34 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     # `PPOSafeguards` reads and writes the files.
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Load a checkpoint; see `env_reset` for the best reward.
-
-        Raises:
-            CheckpointError: it holds a model without the state of its training, or does not fit.
-        """
+        """Load a checkpoint of a training, or raise CheckpointError."""
         super().set_full_state_weights(weights, set_epoch)
-        if self.linear_lr:  # else the next epoch would have the rate of the first one
+        if self.linear_lr:  # Without this the next epoch would start at the first epoch's rate.
             self._advance_schedule(kl=0.0)
-            # `update_lr` would wait for the other processes, which may not restore anything.
+            # `update_lr` would wait for the other processes, which may restore nothing.
             self.optimizer.param_groups[0]["lr"] = self.last_lr
         self._restored_best = self.last_mean_rewards
         self.has_restored = True
 
 
 def given_params(params: dict[str, Any] | None, config: dict[str, Any] | None) -> dict[str, Any]:
-    """Return what an agent's constructor received, as `params` or under the published name.
-
-    Raises:
-        ConfigError: neither, or both.
-    """
+    """Return the agent's section, given as `params` or under the published name `config`."""
     if (params is None) == (config is None):
         raise ConfigError(
-            "an agent is made with base_name and the section params of a train file, given as"
-            " params= or config=, one of both"
+            "an agent needs the section params of a train file: give either params= or config="
         )
     return params if config is None else config  # type: ignore[return-value]
 
 
 def _prepare_settings(settings: dict[str, Any], unsupported: tuple[str, ...]) -> Any:
-    """Check and adapt the section `config` for rl_games, in place; return `mixed_precision`.
-
-    Raises:
-        ConfigError: a key that the agent does not support.
-    """
+    """Refuse unsupported keys, adapt `config` for rl_games, and return its `mixed_precision`."""
     for key in unsupported:
         if settings.get(key):
             raise ConfigError(
-                f"train.params.config.{key} is not supported by agents of this kind; remove it"
+                f"train.params.config.{key} is not supported by this agent; remove it"
             )
     mixed_precision = settings.get("mixed_precision", False)
-    # rl_games' own switch means CUDA autocast with a gradient scaler; bfloat16 needs no scaler.
+    # rl_games' own key means CUDA autocast with a gradient scaler; bfloat16 needs no scaler.
     settings["mixed_precision"] = False
     leave_out_nccl(settings)
     settings["torch_compile"] = torch_compile_setting(
@@ -792,11 +733,7 @@ def _prepare_settings(settings: dict[str, Any], unsupported: tuple[str, ...]) ->
 
 
 def _make_central_value(agent: Any) -> CentralValueTrain:
-    """Return the asymmetric critic of an agent, as the constructor of rl_games' A2CAgent makes it.
-
-    Raises:
-        ConfigError: a recurrent one.
-    """
+    """Return the asymmetric critic, built as in rl_games' A2CAgent, unless it is recurrent."""
     settings = agent.central_value_config
     critic = CentralValueTrain(
         state_shape=agent.state_shape,
@@ -824,6 +761,6 @@ def _make_central_value(agent: Any) -> CentralValueTrain:
 
 
 def weighted_mean(values: Tensor, rows: dict[str, Tensor]) -> Tensor:
-    """Return the mean of values (n,), by the weights that rows may have (`prepare_minibatch`)."""
+    """Return the mean of values (n,), weighted by `row_weights` if the rows have them."""
     weights = rows.get("row_weights")
     return values.mean() if weights is None else (weights * values).mean()

@@ -1,7 +1,4 @@
-"""Players: they measure a policy over whole episodes, in the play loop of `evaluation`.
-
-`EpisodePlayer` gives rl_games' own players that loop, `CommonPlayer` is the player of AMP's family.
-"""
+"""Players, which measure a policy over whole episodes in the play loop of `evaluation`."""
 
 from __future__ import annotations
 
@@ -26,20 +23,17 @@ from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 
 
 class EpisodePlayer(BasePlayer):
-    """Plays `games_num` episodes in a loop that ends without a window; a mixin for players.
-
-    Attributes:
-        result: what was measured; None before.
-    """
+    """Mixin of players: plays `games_num` episodes, also without a window."""
 
     result: EvaluationResult | None = None
+    """Result of `run`; None before."""
 
     def __init__(self, params: dict[str, Any]) -> None:
         super().__init__(params)
         self.has_batch_dimension = True
 
     def run(self) -> None:
-        """Play, log the result, and go on while a window is open."""
+        """Play, log the result, and continue while a window is open."""
         games = episodes_to_play(self.player_config)
         self.result = evaluate_and_log(self.env, self.act, games, on_step=self.on_step)
         play_on(self.env, self.act, self.on_step)
@@ -51,41 +45,36 @@ class EpisodePlayer(BasePlayer):
             return self.get_action(rows, self.is_deterministic)
 
     def on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
-        """Called with the dones (N,) and infos of each step, before resets."""
+        """Use the dones (N,) and infos of a step, before resets."""
 
 
-class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
-    """The player of a CommonAgent; `RestoringPlayer` loads its checkpoints.
+class CommonPlayer(ExplainedNames, EpisodePlayer, RestoringPlayer, PpoPlayerContinuous):
+    """The player of a CommonAgent.
 
     Keys of `train.params.config.player`: `games_num` (default: 32, at least one per environment),
-    `deterministic` (default True: mean actions), `record` (a .npz file that the first episode of
-    environment 0 is written to as a motion clip).
-
-    Attributes:
-        result: what `run` measured; None before.
-        is_latent_conditioned: True if its policies act under skill latents.
+    `deterministic` (default True: mean actions), `record` (a .npz file for the first episode of
+    environment 0 as a motion clip).
 
     Raises:
-        ConfigError: a latent for a policy that has no such input.
-        OverrideError: a subclass overrides what is not called here; at its definition.
+        ConfigError: a latent is given for a policy without skill latents.
+        OverrideError: a subclass overrides a method that nothing calls here.
     """
 
     replaced: ClassVar[dict[str, str]] = PLAYER_NAMES
 
     is_latent_conditioned: ClassVar[bool] = False
+    """Whether the policies act under skill latents."""
 
     def __init__(self, params: dict[str, Any]) -> None:
-        # Not PpoPlayerContinuous' constructor: it builds the model before a subclass can set its
-        # inputs.
+        # PpoPlayerContinuous' own constructor would build the model before its inputs are known.
         BasePlayer.__init__(self, params)
-        self.result: EvaluationResult | None = None
         latent = self.player_config.get("latent")
         if latent and not self.is_latent_conditioned:
             raise ConfigError(
-                f"latent={latent}: this policy has no skill latents (policies of gen_amp and ase"
-                " have); remove it"
+                f"latent={latent}: this policy has no skill latents (only policies of gen_amp and"
+                " ase have); remove it"
             )
-        # rl_games' default means "until the window is closed"; without a window a play ends.
+        # rl_games' default plays until a window is closed.
         self.games_num = episodes_to_play(self.player_config)
         self.has_batch_dimension = True
         self.network = self.config["network"]
@@ -97,13 +86,13 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
         self._recorder = MotionRecorder(self.env, path) if path else None
 
     def _setup_action_space(self) -> None:
-        """Set number and limits of the policy's actions; the networks do not exist yet."""
+        """Set the number and limits of the policy's actions; the networks do not exist yet."""
         self.actions_num = self.action_space.shape[0]
         self.actions_low = torch.from_numpy(self.action_space.low.copy()).to(self.device)
         self.actions_high = torch.from_numpy(self.action_space.high.copy()).to(self.device)
 
     def _build_net(self, config: dict[str, Any]) -> None:
-        """Build the model with the arguments that `_build_net_config` returned."""
+        """Build the model with the arguments of `_build_net_config`."""
         self.model = self.network.build(config).to(self.device).eval()
         self.is_rnn = False
 
@@ -119,7 +108,7 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
         }
 
     def run(self) -> None:
-        """Play `games_num` episodes, log the result, and go on while a window is open."""
+        """Play `games_num` episodes, log the result, and continue while a window is open."""
         self._measure()
         play_on(self.env, self.act)
 
@@ -130,20 +119,15 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
             self.act,
             self.games_num,
             style_reward=self.style_reward_function(),
-            on_step=self._on_step,
+            on_step=self.on_step,
         )
 
     def obs_to_torch(self, obs: Any) -> Any:
-        """Return {"obs": (N, O)}, what `get_action` takes."""
+        """Return {"obs": (N, O)} for `get_action`."""
         return {"obs": super().obs_to_torch(obs)}
 
     def get_action(self, obs_dict: Any, is_deterministic: bool = False) -> Tensor:
-        """Return actions (N, A) within the action space's limits.
-
-        Args:
-            obs_dict: raw observations, {"obs": (N, O)} or the tensor itself.
-            is_deterministic: mean actions.
-        """
+        """Return actions (N, A) within the action space for raw observations, {"obs": (N, O)}."""
         obs = obs_dict["obs"] if isinstance(obs_dict, dict) else obs_dict
         with torch.no_grad():
             result = self.model(
@@ -161,22 +145,18 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
         return rescale_actions(self.actions_low, self.actions_high, actions.clamp(-1.0, 1.0))
 
     def _policy_inputs(self) -> dict[str, Tensor]:
-        """Return policy inputs in addition to the observation, (N, ...); called once per step."""
+        """Return policy inputs (N, ...) in addition to the observation, once per step."""
         return {}
 
-    def act(self, obs: dict[str, Tensor]) -> Tensor:
-        """Return the task's actions (N, A) for the task's observations."""
-        return self.get_action(self.obs_to_torch(obs), self.is_deterministic)
-
     def style_reward_function(self) -> Callable[[Tensor], Tensor] | None:
-        """Return a function from AMP observations (N, F) to rewards; None: no discriminator."""
+        """Return a function from AMP observations (N, F) to rewards; None without discriminator."""
         return None
 
-    def _on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
-        """Called with the dones (N,) and infos of each step, before resets."""
+    def on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
+        """Record the step, and call `_post_step`."""
         if self._recorder is not None:
             self._recorder.step(dones)
         self._post_step(infos)
 
     def _post_step(self, info: dict[str, Any]) -> None:
-        """Called with the infos of each step, before resets."""
+        """Use the infos of a step, before resets."""

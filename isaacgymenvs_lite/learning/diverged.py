@@ -1,10 +1,9 @@
 """Leaves the transitions of diverged simulations out of an update.
 
-A task marks them in `infos["diverged"]` (N,). Such a transition has no outcome: its state is broken
-and its reward means nothing. The episode counts as cut off before it, so that the returns of
-earlier steps end with V of the last good state, which is the observation of the transition itself.
-The row leaves the batch before anything is computed of it. Recurrent networks need whole sequences:
-there rl_games' masks take its weight, and only the normalisers count its observation and value.
+A task marks them in `infos["diverged"]` (N,). The next state and the reward of such a transition
+are meaningless. The episode counts as truncated before the transition, and earlier returns end with
+V of the transition's own observation, the last good state. Recurrent networks need whole sequences;
+rl_games' masks remove the transition from their losses, but normalisers count its observation.
 """
 
 from __future__ import annotations
@@ -22,11 +21,7 @@ _COLUMNS = ("obses", "next_obses", "actions", "rewards", "dones")
 
 
 class RolloutMask:
-    """Which steps of a rollout of `horizon` steps have an outcome.
-
-    Attributes:
-        num_steps: steps of the rollout so far.
-    """
+    """Records which steps of a rollout diverged; `num_steps` counts the steps."""
 
     def __init__(self, horizon: int) -> None:
         self._horizon = horizon
@@ -34,7 +29,7 @@ class RolloutMask:
         self.num_steps = 0
 
     def add(self, diverged: Tensor | None) -> None:
-        """Store the next step, (N,) bool or None; after a whole rollout the next rollout starts."""
+        """Record the next step, (N,) bool or None; a complete rollout is cleared first."""
         if self.num_steps == self._horizon:
             self._diverged, self.num_steps = {}, 0
         if diverged is not None:
@@ -43,7 +38,7 @@ class RolloutMask:
 
     @property
     def kept(self) -> Tensor | None:
-        """(H, N) bool, False where a simulation diverged; None if none did."""
+        """(H, N) bool, False where a simulation diverged; None if none diverged."""
         if not self._diverged:
             return None
         shape = next(iter(self._diverged.values()))
@@ -54,7 +49,7 @@ class RolloutMask:
 
 
 def take_rows(batch: dict[str, Any], kept: Tensor) -> dict[str, Any]:
-    """Return a batch with the rows of `kept` (B,) bool; what has no B rows stays as it is."""
+    """Return a batch with the rows of `kept` (B,) bool; values without B rows stay unchanged."""
     rows = kept.nonzero().flatten()
 
     def of(values: Any) -> Any:
@@ -67,7 +62,7 @@ def take_rows(batch: dict[str, Any], kept: Tensor) -> dict[str, Any]:
 
 
 def fit_datasets(agent: Any, num_rows: int) -> None:
-    """Let the minibatches of an agent, and of its asymmetric critic, share `num_rows` rows."""
+    """Divide `num_rows` rows among the minibatches of an agent and its asymmetric critic."""
     for owner in (agent, agent.central_value_net) if agent.has_central_value else (agent,):
         dataset = owner.dataset
         dataset.batch_size = num_rows
@@ -76,10 +71,10 @@ def fit_datasets(agent: Any, num_rows: int) -> None:
 
 
 class EpisodeMeter(AverageMeter):
-    """rl_games' mean of the last episodes, without those that diverged.
+    """rl_games' mean over the last episodes, without diverged episodes.
 
     Attributes:
-        left_out: (n,) bool of the episodes of the next updates; None: all count.
+        left_out: (n,) bool, diverged episodes of the next updates; None if none diverged.
     """
 
     left_out: Tensor | None = None
@@ -90,7 +85,7 @@ class EpisodeMeter(AverageMeter):
 
 
 class EpisodeMeters:
-    """Replaces the named meters of an agent of rl_games whose loop updates them itself."""
+    """Replaces named meters of an agent whose rl_games loop updates them."""
 
     def __init__(self, agent: Any, names: tuple[str, ...]) -> None:
         self._meters = []
@@ -101,17 +96,17 @@ class EpisodeMeters:
             self._meters.append(meter)
 
     def leave_out(self, diverged: Tensor | None, dones: Tensor) -> None:
-        """Leave out diverged episodes, (N,) bool or None, of those that end, dones (N,)."""
+        """Leave out episodes that diverged, (N,) bool or None, and end in this step, dones (N,)."""
         left_out = None if diverged is None else diverged[dones.bool()]
         for meter in self._meters:
             meter.left_out = left_out
 
 
 class KeptTransitions(VectorizedReplayBuffer):
-    """rl_games' replay buffer, without transitions that diverged.
+    """rl_games' replay buffer without diverged transitions.
 
     Attributes:
-        left_out: (N,) bool of the rows of the next `add`; None: all are stored.
+        left_out: (N,) bool, diverged rows of the next `add`; None if none diverged.
     """
 
     left_out: Tensor | None = None
@@ -125,19 +120,15 @@ class KeptTransitions(VectorizedReplayBuffer):
             super().add(*rows)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the stored rows and the place of the next row."""
+        """Return the stored rows and the position of the next row."""
         n = self.capacity if self.full else self.idx
-        # A part is copied: else a file would hold the whole tensor.
+        # A slice is copied; otherwise a file would hold the whole tensor.
         rows = {name: getattr(self, name)[:n].cpu() for name in _COLUMNS}
         rows = rows if self.full else {name: row.clone() for name, row in rows.items()}
         return {"rows": rows, "idx": self.idx, "full": self.full}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the rows of a buffer of the same size.
-
-        Raises:
-            RuntimeError: the buffer had another size.
-        """
+        """Restore the rows of a buffer of the same size."""
         n = self.capacity if state["full"] else state["idx"]
         for name in _COLUMNS:
             getattr(self, name)[:n].copy_(state["rows"][name])

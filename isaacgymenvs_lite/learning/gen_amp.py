@@ -1,8 +1,8 @@
 """GenAMPAgent: AMP with a policy that acts under a skill latent; ASE's low-level controller.
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
-An encoder recovers the latent from the motion and rewards the policy when it can, so that different
-latents become different skills.
+An encoder infers the latent from the motion, and rewards the policy for motion that reveals it.
+Different latents therefore become different skills.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 from isaacgymenvs_lite.learning.common_agent import LossTerms, weighted_mean
 from isaacgymenvs_lite.learning.modules.skill_encoder import SkillEncoder, SkillRewards
-from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts, is_overridden
+from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.skills.latents import (
     ClipLatents,
     EvaluationLatents,
@@ -37,20 +37,20 @@ from isaacgymenvs_lite.learning.skills.latents import (
 )
 from isaacgymenvs_lite.learning.warm_start import descend
 
-# Rows of the clips that a random latent is compared with.
+# Number of rows of the clips that are compared with a random latent.
 _NEIGHBOURS = 512
-# Latents of the replayed and of the real rows, inputs of a conditional discriminator.
+# Latents of replayed and reference rows, inputs of a conditional discriminator.
 _DISC_LATENTS = ("amp_obs_replay_latents", "amp_obs_demo_latents")
 
 
 class GenAMPAgent(SkillRewards, AMPAgent):
     """The agent of `algo: name: gen_amp` or `ase`.
 
-    The task is a `SkillEnv`; with latents of clips, an encoder that learns from clips or a
-    conditional discriminator it is a `ClipSkillEnv`.
+    The task is a `SkillEnv`. It must be a `ClipSkillEnv` if latents or the encoder's losses come
+    from clips, or if the discriminator is conditional.
 
     Attributes:
-        encoder: reward and loss.
+        encoder: the encoder's reward and loss.
         schedule: the current latents.
     """
 
@@ -67,7 +67,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         "enc_grad_penalty": "info/enc_grad_penalty",
     }
     stored_episodes = ("schedule",)
-    # Its critic needs the latents.
+    # An asymmetric critic would not receive the latents.
     unsupported_keys = (*AMPAgent.unsupported_keys, "central_value_config")
     _amp: GenAMPParams
     _env: SkillEnv
@@ -112,16 +112,17 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         self.encoder = SkillEncoder(
             self.model.a2c_network, lambda amp_obs: self._preproc_amp_obs(amp_obs), self._amp
         )
-        # A subclass' loss as published has three arguments and draws the other latents itself.
+        # The published loss has three arguments and draws the other latents itself.
         self._diversity_loss_takes_latents = accepts(self._diversity_loss, 4)
         if self._amp.disc_mismatched_demos > 0.0 and not self._disc_is_conditional:
             raise ConfigError(
                 "train.params.config.disc_mismatched_demos: only a discriminator that receives"
-                " latents can find a wrong one; set train.params.network.disc.conditional=True, or"
-                " this to 0"
+                " latents can use mismatched ones; set it to 0, or"
+                " train.params.network.disc.conditional=True"
             )
         self._needs_pairs = self._amp.encodes_clips or self._disc_is_conditional
-        if self._needs_pairs and is_overridden(self, AMPAgent._fetch_amp_obs_demo):
+        fetch = type(self)._fetch_amp_obs_demo
+        if self._needs_pairs and fetch is not AMPAgent._fetch_amp_obs_demo:
             raise OverrideError(
                 f"{type(self).__name__}._fetch_amp_obs_demo: with enc_alignment_coef,"
                 " enc_uniformity_coef or disc.conditional demonstrations come in pairs; override"
@@ -134,13 +135,13 @@ class GenAMPAgent(SkillRewards, AMPAgent):
                 "train.params.config: clip_latents, enc_alignment_coef, enc_uniformity_coef or"
                 " network.disc.conditional",
             )
-        # An episode keeps to its clip while it has the latent of its start.
+        # An episode follows its clip as long as it has the latent of its start.
         self._keeping: ClipKeepingEnv | None = None
         if self._amp.clip_latents > 0.0 and fits(self._clips, ClipKeepingEnv):
             self._keeping = self._clips
 
     def init_tensors(self) -> None:
-        """Allocate the rollout, latents included."""
+        """Allocate the rollout, including latents."""
         super().init_tensors()
         self.experience_buffer.tensor_dict["amp_latents"] = torch.zeros(
             self.horizon_length, self.num_actors, self._amp.latent_dim, device=self.ppo_device
@@ -148,7 +149,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         self.tensor_list += ["amp_latents"]
 
     def _store_demos(self) -> None:
-        """As AMP; where pairs are needed, with another moment of the clip for each."""
+        """Store demonstrations, with a second moment of the same clip where pairs are needed."""
         if not self._needs_pairs:
             super()._store_demos()
             return
@@ -157,15 +158,15 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         self._amp_obs_demo_buffer.store({"amp_obs": at, "amp_obs_near": near})
 
     def _fetch_amp_obs_demo_pairs(self, num_samples: int) -> Tensor:
-        """Return AMP observations (n, 2, F) of two moments each of the reference motions."""
+        """Return AMP observations (n, 2, F), each pair from two moments of a reference motion."""
         return self._clips.fetch_amp_obs_demo_pairs(num_samples)
 
     def _fetch_tracking_demo(self) -> TrackingDemo | None:
-        """As AMP; only an encoder that learns from clips finds latents for them."""
+        """Return a demonstration if the encoder learns from clips and can give it latents."""
         return super()._fetch_tracking_demo() if self._amp.encodes_clips else None
 
     def _tracking_latents(self, demo: TrackingDemo) -> Tensor:
-        """Let the encoder learn from the clips, and return what it finds in a demonstration."""
+        """Train the encoder on the clips, and return the latents of a demonstration."""
         if self.discriminator.normalizer is not None:
             self.discriminator.normalizer.count_in(demo.amp_obs)
 
@@ -180,7 +181,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     # --- rollout ---------------------------------------------------------------------------
 
     def env_reset(self) -> Any:
-        """Reset the environment, every episode with a new latent."""
+        """Reset the environment; every episode gets a new latent."""
         obs = super().env_reset()
         self._restart_latents(torch.arange(self.num_actors, device=self.ppo_device))
         return obs
@@ -202,7 +203,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
             self._keeping.keep_to_clips(env_ids[of_starts])
 
     def _update_latents(self) -> None:
-        """Replace the latents whose time is over; called before each policy step."""
+        """Replace expired latents before a policy step."""
         changed = self.schedule.advance(self._progress())
         if self._keeping is not None:
             self._keeping.leave_clips(changed)
@@ -225,7 +226,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return lambda: {"amp_latents": latents(env.progress_buf.to(self.ppo_device))}
 
     def _needs_next_value(self) -> Tensor:
-        """Also where the latent changes: V(s') is bootstrapped under this step's latent."""
+        """Include environments whose latent changes: V(s') belongs to this step's latent."""
         return super()._needs_next_value() | self.schedule.is_over(self._progress())
 
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
@@ -236,7 +237,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return (self.experience_buffer.tensor_dict["amp_latents"],)
 
     def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
-        """Return AMP's sum and enc_reward_w * encoder, (..., 1)."""
+        """Return AMP's reward plus enc_reward_w * encoder reward, (..., 1)."""
         return (
             super()._combine_rewards(task_rewards, amp_rewards)
             + self._amp.enc_reward_w * amp_rewards["enc_rewards"]
@@ -245,13 +246,12 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     # --- update ----------------------------------------------------------------------------
 
     def _draw_disc_rows(self, batch_dict: dict[str, Any]) -> None:
-        """As AMP; a conditional discriminator also gets the latents of the rows.
+        """Add demonstrations and replayed rows, with latents for a conditional discriminator.
 
-        A demonstration has the latent of another moment of its clip: with the same moment the
-        discriminator could solve the task by matching its inputs. With `disc_mismatched_demos`
-        some replayed rows are demonstrations under wrong latents, from which the discriminator
-        learns that a good motion is not enough: it must be the motion of its latent (Reed et al.
-        2016, "Generative Adversarial Text to Image Synthesis", algorithm 1).
+        A demonstration has the latent of another moment of its clip, because the discriminator
+        could match inputs with the latent of the same moment. `disc_mismatched_demos` replaces some
+        replayed rows by demonstrations under wrong latents, which count as fake (Reed et al. 2016,
+        "Generative Adversarial Text to Image Synthesis", algorithm 1).
         """
         if not self._disc_is_conditional:
             super()._draw_disc_rows(batch_dict)
@@ -261,8 +261,8 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         pairs = self._amp_obs_demo_buffer.sample(num_rows)
         demos, latents = pairs["amp_obs"], self._eval_enc(pairs["amp_obs_near"])
         if self._amp.latent_sharpness > 0.0:
-            # As many rows have random latents as the policy has. A random latent is paired with a
-            # row whose own latent is near, so that every latent belongs to a motion of the clips.
+            # Demonstrations have the policy's share of random latents. Each random latent is paired
+            # with a row of the clips whose own latent is near, which gives every latent a motion.
             fresh, chosen = self._clip_latents.random(num_rows, latents.device)
             near = sample_similar_rows(fresh, latents[:_NEIGHBOURS], self._amp.latent_sharpness)
             of_clips = torch.zeros(num_rows, 1, dtype=torch.bool, device=latents.device)
@@ -272,7 +272,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if self._amp_replay_buffer.get_total_count() > 0:
             fakes = self._amp_replay_buffer.sample(num_rows)
         num = round(self._amp.disc_mismatched_demos * num_rows)
-        # Rows are drawn at random, so that the row before is a random other row.
+        # Rows are in random order, and the previous row is any other row.
         mismatched = {"amp_obs": demos, "amp_obs_latents": latents.roll(1, dims=0)}
         for name, rows in mismatched.items():
             mixed = torch.cat((rows[:num], fakes[name][num:]))
@@ -280,7 +280,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         batch_dict |= {"amp_obs_demo": demos, "amp_obs_demo_latents": latents}
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
-        """As AMP, with the latents of policy and discriminator."""
+        """Fill the dataset, including the latents of policy and discriminator."""
         super().prepare_dataset(batch_dict)
         rows = self.dataset.values_dict
         rows["amp_latents"] = rows["amp_obs_latents"] = batch_dict["amp_latents"]
@@ -294,12 +294,12 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         self._store_replay_amp_obs(batch_dict["amp_obs"], **others)
 
     def _dataset_row_limits(self) -> dict[str, int]:
-        """As AMP; the latents of AMP observations are limited as these are."""
+        """Limit the latents of AMP observations like the AMP observations."""
         own = dict.fromkeys(("amp_obs_latents", *_DISC_LATENTS), self._amp_minibatch_size)
         return {**super()._dataset_row_limits(), **own}
 
     def prepare_minibatch(self, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """As AMP, with other latents for the diversity loss, and triples of demonstrations."""
+        """Add new latents for the diversity loss, and triples for the encoder's clip losses."""
         rows = super().prepare_minibatch(minibatch)
         if self._enable_amp_diversity_bonus():
             rows["diversity_latents"] = self._sample_latents(len(minibatch["amp_latents"]))
@@ -308,10 +308,10 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return rows
 
     def _draw_demo_triples(self) -> Tensor:
-        """Return normalised AMP observations (n, 3, F): near moments of a clip, and any other."""
+        """Return normalised AMP observations (n, 3, F): two near moments of a clip, another row."""
         demos = self._amp_obs_demo_buffer.sample(max(1, self._amp_minibatch_size // 2))
         pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
-        # Rows are drawn at random, so that the next one is a random other one.
+        # Rows are in random order, and the previous row is any other row.
         others = pairs[:, :1].roll(1, dims=0)
         return self._preproc_amp_obs(torch.cat((pairs, others), dim=1))
 
@@ -344,9 +344,9 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     def _clip_encoding_losses(self, triples: Tensor) -> LossTerms:
         """Return the encoder's losses of clips, given rows of `_draw_demo_triples`.
 
-        Alignment brings together what the encoder reads at near moments, uniformity spreads what
-        it reads over the sphere: Wang and Isola 2020 (arXiv 2005.10242), eq. 1, and eq. 2 without
-        the logarithm of the mean.
+        Alignment brings the latents of near moments together, and uniformity spreads all latents
+        over the sphere. See Wang and Isola 2020 (arXiv 2005.10242), eq. 1, and eq. 2 without the
+        logarithm.
         """
         found = self.model.a2c_network.eval_enc(triples.flatten(0, 1)).float()
         at, near, other = found.view(*triples.shape[:2], -1).unbind(dim=1)
@@ -372,16 +372,16 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         ase_latents: Tensor,
         new_latents: Tensor | None = None,
     ) -> Tensor:
-        """Return (n,) the squared error of how different the actions under two latents are.
+        """Return squared errors (n,) of the change of actions between two latents.
 
         (target - |a - a'|^2 / A / (0.5 - 0.5 z . z' + 1e-5))^2 with actions clamped to +-1 (ASE,
-        eq. 14, in the form of its published code). Several threads call it.
+        eq. 14, as in its published code). Several threads call this method.
 
         Args:
-            obs: (n, O), normalised by the model.
+            obs: (n, O) normalised observations.
             action_params: (n, A) mean actions under `ase_latents`.
-            ase_latents: (n, Z).
-            new_latents: (n, Z) to compare with; None: drawn here.
+            ase_latents: (n, Z) latents z.
+            new_latents: (n, Z) latents z'; None draws them here.
         """
         new_z = self._sample_latents(len(obs)) if new_latents is None else new_latents
         other_mu, _ = self._eval_actor(obs, new_z)
@@ -391,18 +391,14 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return (self._amp.amp_diversity_tar - ratio).square()
 
     def _eval_actor(self, obs: Tensor, ase_latents: Tensor) -> tuple[Tensor, Tensor]:
-        """Return mean actions and log standard deviations (n, A) for normalised obs (n, O)."""
+        """Return mean actions and log standard deviations (n, A) of normalised obs (n, O)."""
         return self.model.a2c_network.eval_actor(obs, ase_latents)
 
 
 def make_evaluation_schedule(
     params: GenAMPParams, env: SkillEnv, encoder: SkillEncoder, device: str | torch.device
 ) -> LatentSchedule:
-    """Return the schedule of a task that is played: latents as in training, of the task's clips.
-
-    Raises:
-        ConfigError: latent_steps_min is not below latent_steps_max.
-    """
+    """Return the latent schedule of a played task, which draws latents as in training."""
     clip_latents = ClipLatents(
         params.clip_latents,
         params.latent_dim,

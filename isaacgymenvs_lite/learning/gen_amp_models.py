@@ -1,4 +1,4 @@
-"""The AMP model with an encoder's outputs."""
+"""The AMP model with the encoder's outputs."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
 class ModelGenAMPContinuous(ModelAMPContinuous):
     """`model: name: continuous_gen_amp`, `gen_amp` or `ase`.
 
-    Every input has `amp_latents` (n, Z) and `obs`. A training input with AMP observations and
-    `amp_obs_latents` (K, Z), the latents under which the policy made `amp_obs` (K, F), has outputs
-    `enc_pred` (K, Z), unit vectors, and, with `enc_gradient` True, `enc_gradient` (K, F), the
-    gradients of the encoder's error by the AMP observations. A conditional discriminator also
-    needs `amp_obs_replay_latents` and `amp_obs_demo_latents` (K, Z).
+    Every input has `amp_latents` (n, Z) and `obs`. A training input with AMP observations also has
+    `amp_obs_latents` (K, Z), the latents of `amp_obs` (K, F). Its outputs include `enc_pred` (K,
+    Z), unit vectors, and, with `enc_gradient` True, `enc_gradient` (K, F), the gradients of the
+    encoder's error by `amp_obs`. A conditional discriminator also needs `amp_obs_replay_latents`
+    and `amp_obs_demo_latents` (K, Z).
     """
 
     class Network(ModelAMPContinuous.Network):

@@ -1,7 +1,7 @@
-"""The GenAMP network: AMP's with a skill latent as input of actor and critic, and an encoder.
+"""The GenAMP network: the AMP network with skill latents and an encoder.
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
-Parameter names are ASE's, so that its checkpoints load.
+Parameters have ASE's names, and its checkpoints load.
 """
 
 from __future__ import annotations
@@ -21,23 +21,15 @@ from isaacgymenvs_lite.learning.published_names import NETWORK_NAMES, PublishedN
 from isaacgymenvs_lite.learning.skills.latents import sample_latents
 
 _STYLE_UNITS = (512, 256)
-# As ASE: the style starts spread over all of tanh, the encoder near one point of the sphere.
+# Styles start spread over tanh's range, and the encoder near one point of the sphere (as in ASE).
 _STYLE_INIT_SCALE = 1.0
 ENC_LOGIT_INIT_SCALE = 0.1
 
 
 class StyleMLP(PublishedNames, nn.Module):
-    """The actor's trunk: layers over the observation and a style that is made of the latent.
+    """The actor's trunk: layers over the observation and a style, which encodes the latent.
 
-    style(z) = tanh(W MLP(z)), as wide as the latent.
-
-    Args:
-        obs_size: O.
-        latent_dim: Z.
-        units: sizes of the layers over observation and style.
-        style_units: sizes of `style_layers`, the layers over the latent.
-        style_layers: see `style_units`.
-        activation: after each layer.
+    style(z) = tanh(W MLP(z)) has the latent's dimension; `style_units` are the sizes of MLP.
     """
 
     replaced: ClassVar[dict[str, str]] = NETWORK_NAMES
@@ -63,7 +55,7 @@ class StyleMLP(PublishedNames, nn.Module):
         return torch.tanh(self._style_dense(self._style_mlp(latents)))
 
     def forward(self, obs: Tensor, latents: Tensor, use_hidden_latents: bool = False) -> Tensor:
-        """Return features (n, units[-1]); `use_hidden_latents`: the latents are styles already."""
+        """Return features (n, units[-1]); with `use_hidden_latents` the latents are styles."""
         style = latents if use_hidden_latents else self.eval_style(latents)
         features = torch.cat((obs, style), dim=-1)
         for layer in self._dense_layers:
@@ -88,7 +80,7 @@ class LatentMLP(PublishedNames, nn.Module):
 class GenAMPBuilder(AMPBuilder):
     """Builds the network of the section `network:` with `name: gen_amp` or `ase`.
 
-    Parameter names: AMPBuilder's, with `actor_mlp._style_mlp, ._style_dense, ._dense_layers`,
+    Its parameters are AMPBuilder's, with `actor_mlp._style_mlp, ._style_dense, ._dense_layers`,
     `critic_mlp._mlp`, `_enc_mlp` and `_enc`.
     """
 
@@ -96,18 +88,15 @@ class GenAMPBuilder(AMPBuilder):
         """Actor, critic, discriminator and encoder.
 
         Args:
-            params: the section `network:`. `enc.separate` False lets the encoder share the
-                discriminator's layers (`enc.units` is ignored then). This project's are
-                `style.units`, layers over the latent, by default ASE's [512, 256]; `latent_scale`,
-                by default 1, the length of the latents as inputs of actor, critic and a conditional
-                discriminator; `disc.conditional`, by default False: the latent is an input of the
-                discriminator, too, which learns whether the motion shows that skill (CALM, Tessler
-                et al. 2023, arXiv 2305.02195, section 4.2).
-            kwargs: AMPBuilder's, and `amp_latent_shape` (or ASE's `ase_latent_shape`), (Z,).
-
-        Raises:
-            ConfigError: as AMPBuilder, no section `enc:`, actor and critic that share layers, or a
-                conditional discriminator that shares layers with the encoder.
+            params: the section `network:`. The encoder shares the discriminator's layers, and
+                `enc.units` is ignored, if `enc.separate` is False. Three keys are new here.
+                `style.units` are the layers over the latent (default: ASE's [512, 256]).
+                `latent_scale` is the length of the networks' latents (default 1).
+                `disc.conditional` makes the latent an input of the discriminator, which then judges
+                whether the motion shows this skill (CALM, Tessler et al. 2023, arXiv 2305.02195,
+                section 4.2).
+            kwargs: AMPBuilder's arguments, and `amp_latent_shape` (or ASE's `ase_latent_shape`),
+                (Z,). (Z,).
 
         Attributes:
             disc_is_conditional: whether `eval_disc` takes latents.
@@ -121,10 +110,10 @@ class GenAMPBuilder(AMPBuilder):
             (obs_size,), (amp_obs_size,) = kwargs["input_shape"], kwargs["amp_input_shape"]
             if not params.get("separate", False):
                 raise ConfigError(
-                    "train.params.network.separate=False: the actor gets the latent as a style,"
-                    " the critic as it is, so that they share no layers; set it to True"
+                    "train.params.network.separate=False: actor and critic share layers, but only"
+                    " the actor encodes the latent as a style; set it to True"
                 )
-            # The discriminator needs them; modules cannot be set before torch's constructor.
+            # The base's constructor builds the discriminator, which needs these values.
             self._latent_dim = int(latent_shape[0])
             self._latent_scale = float(params.get("latent_scale", 1.0))
             super().__init__(params, **kwargs)
@@ -136,7 +125,7 @@ class GenAMPBuilder(AMPBuilder):
             return (self._latent_dim,)
 
         def load(self, params: dict[str, Any]) -> None:
-            """Read the section `network:`; rl_games calls this before the layers are built."""
+            """Read the section `network:` before the layers are built."""
             super().load(params)
             if "enc" not in params:
                 raise ConfigError(
@@ -145,33 +134,29 @@ class GenAMPBuilder(AMPBuilder):
                 )
             enc = params["enc"]
             self._enc_separate = bool(enc.get("separate", False))
-            # Read by a separate encoder only.
+            # Only a separate encoder reads these keys.
             self._enc_units = list(enc["units"] if self._enc_separate else enc.get("units") or ())
             self._enc_activation = enc["activation"] if self._enc_separate else ""
             self._enc_initializer = enc.get("initializer", DEFAULT_INITIALIZER)
             self.disc_is_conditional = bool(params["disc"].get("conditional", False))
 
         def _build_trunks(self, params: dict[str, Any], obs_size: int) -> None:
-            """Replace the trunks of actor and critic by those with latents."""
+            """Replace the trunks of actor and critic by trunks with latents."""
             mlp = params["mlp"]
             how = (mlp["activation"], mlp.get("initializer", DEFAULT_INITIALIZER))
             style_units = list(params.get("style", {}).get("units", _STYLE_UNITS))
-            for key, units in (("mlp", mlp["units"]), ("style", style_units)):
-                if len(units) == 0:
-                    raise ConfigError(
-                        f"train.params.network.{key}.units=[]: expected at least one hidden layer"
-                    )
+
             self.actor_mlp = StyleMLP(
                 obs_size,
                 self._latent_dim,
                 mlp["units"],
                 style_units,
-                self._hidden_layers(self._latent_dim, style_units, *how),
+                self._hidden_layers("style", self._latent_dim, style_units, *how),
                 self.activations_factory.create(mlp["activation"]),
             )
             self._init_linear(self.actor_mlp, how[1])
             self.critic_mlp = LatentMLP(
-                self._hidden_layers(obs_size + self._latent_dim, mlp["units"], *how)
+                self._hidden_layers("mlp", obs_size + self._latent_dim, mlp["units"], *how)
             )
             style_dense = self.actor_mlp._style_dense
             nn.init.uniform_(style_dense.weight, -_STYLE_INIT_SCALE, _STYLE_INIT_SCALE)
@@ -182,18 +167,16 @@ class GenAMPBuilder(AMPBuilder):
                 return
             if not self._enc_separate:
                 raise ConfigError(
-                    "train.params.network.disc.conditional=True: the latent is an input of the"
-                    " discriminator, and the encoder has to infer it, so that they share no"
-                    " layers; set enc.separate=True"
+                    "train.params.network.disc.conditional=True: the encoder must not share layers"
+                    " with a discriminator that receives the latent; set enc.separate=True"
                 )
             super()._build_disc((input_shape[0] + self._latent_dim,))
 
         def _build_enc(self, input_shape: tuple[int, ...]) -> None:
-            """Build the encoder's layers, for inputs (n, input_shape[0])."""
+            """Build the encoder's layers for inputs (n, input_shape[0])."""
             if self._enc_separate:
-                self._enc_mlp = self._hidden_layers(
-                    input_shape[0], self._enc_units, self._enc_activation, self._enc_initializer
-                )
+                how = (self._enc_units, self._enc_activation, self._enc_initializer)
+                self._enc_mlp = self._hidden_layers("enc", input_shape[0], *how)
                 width = self._enc_units[-1]
             else:
                 self._enc_mlp = self._disc_mlp
@@ -218,11 +201,8 @@ class GenAMPBuilder(AMPBuilder):
         ) -> tuple[Tensor, Tensor]:
             """Return mean actions and log standard deviations (n, A).
 
-            Args:
-                obs: (n, O), normalised.
-                amp_latents: (n, Z) unit vectors, or styles with `use_hidden_latents`.
-                use_hidden_latents: the latents are already style-encoded.
-                ase_latents: the latents under ASE's name.
+            `obs` (n, O) are normalised. The latents (n, Z), which `ase_latents` also names, are
+            unit vectors, or styles with `use_hidden_latents`.
             """
             latents = _one_of(amp_latents, ase_latents)
             if not use_hidden_latents:
@@ -237,29 +217,22 @@ class GenAMPBuilder(AMPBuilder):
             *,
             ase_latents: Tensor | None = None,
         ) -> Tensor:
-            """Return normalised values (n, values); as in ASE, of the latent itself."""
+            """Return normalised values (n, values) for the latent itself, as in ASE."""
             del use_hidden_latents
             latents = self._latent_scale * _one_of(amp_latents, ase_latents)
             return self.value_act(self.value(self.critic_mlp(obs, latents)))
 
         def eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
-            """Return logits (n, 1) for normalised AMP observations (n, F).
-
-            Latents (n, Z) are given if the discriminator is conditional.
-            """
+            """Return logits (n, 1) of normalised AMP observations (n, F) and latents (n, Z)."""
             scaled = (self._latent_scale * z for z in latents)
             return super().eval_disc(torch.cat((amp_obs, *scaled), dim=-1))
 
         def eval_enc(self, amp_obs: Tensor) -> Tensor:
-            """Return the latents (n, Z), unit vectors, that normalised AMP observations suggest."""
+            """Return the latents (n, Z) inferred from normalised AMP observations, unit vectors."""
             return F.normalize(self._enc(self._enc_mlp(amp_obs)), dim=-1)
 
         def eval_enc_with_gradient(self, amp_obs: Tensor, latents: Tensor) -> tuple[Tensor, Tensor]:
-            """Return `eval_enc` and the gradients (n, F) of its error -q(x) . z by x.
-
-            The gradients can be differentiated by the parameters. x are normalised AMP observations
-            (n, F), z latents (n, Z).
-            """
+            """Return `eval_enc` q(x) and the gradients (n, F) of -q(x) . z by x, differentiable."""
             with torch.enable_grad():
                 amp_obs = amp_obs.detach().requires_grad_()
                 found = self.eval_enc(amp_obs)
@@ -268,20 +241,20 @@ class GenAMPBuilder(AMPBuilder):
                 return found, input_gradient(error, amp_obs)
 
         def sample_latents(self, n: int) -> Tensor:
-            """Return n random latents (n, Z), unit vectors, where the network is."""
+            """Return random unit vectors (n, Z) on the network's device."""
             return sample_latents(n, self._latent_dim, self._enc.weight.device)
 
         def enc_parameters(self) -> list[nn.Parameter]:
-            """Return the parameters of the encoder."""
+            """Return the encoder's parameters."""
             return [*self._enc_mlp.parameters(), *self._enc.parameters()]
 
         def get_enc_weights(self) -> list[Tensor]:
-            """Return all weight matrices of the encoder, flat; no biases."""
+            """Return the encoder's weight matrices, flat, without biases."""
             layers = [m for m in self._enc_mlp.modules() if isinstance(m, nn.Linear)]
             return [layer.weight.flatten() for layer in (*layers, self._enc)]
 
     def build(self, name: str, **kwargs: Any) -> GenAMPBuilder.Network:
-        """Build the network; rl_games calls this through the model."""
+        """Build the network."""
         return GenAMPBuilder.Network(self.params, **kwargs)
 
 

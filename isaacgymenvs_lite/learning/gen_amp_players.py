@@ -1,4 +1,4 @@
-"""Plays policies that act under skill latents: random or moving ones, or the rows of a file."""
+"""Players of policies that act under skill latents."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from isaacgymenvs_lite.learning.published_names import ReadOnly
 from isaacgymenvs_lite.learning.skills.latents import EvaluationLatents
 
 log = logging.getLogger(__name__)
-# Control steps from one window of motion to the next of an environment.
+# Control steps between two windows of motion in an environment.
 _STRIDE = 10
 
 
 class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
     """The player of `gen_amp` and `ase`.
 
-    The key `latent` of `train.params.config.player`, `latent=` for `train.py`, is `random` (by
-    default: new latents at resets and after a random number of steps, drawn as in training),
-    `interpolate` (moves from latent to latent) or a .npy file (K, latent_dim): environment i always
-    acts under row i mod K.
+    The key `latent` of `train.params.config.player` (`latent=` for `train.py`) has three forms.
+    `random`, the default, draws new latents at resets and after random numbers of steps, as in
+    training. `interpolate` moves gradually from latent to latent. A .npy file (K, latent_dim) fixes
+    the latents: environment i always acts under row i mod K.
 
     Attributes:
-        encoder: reads latents in motion.
-        current_latents: (N, Z), of the last step.
-        skills: which skills `run` has seen; None before, if all episodes were too short, or in a
-            task that is no `ClipWindowsEnv`.
+        encoder: infers latents from motion.
+        current_latents: (N, Z) latents of the last step.
+        skills: the result of `run` about skills. It is None before `run`, if all episodes were too
+            short, or if the task is no `ClipWindowsEnv`.
 
     Raises:
-        ConfigError: a latent that is none of these, or of another width.
+        ConfigError: `latent` has none of these forms, or another dimension.
     """
 
     _latent_dim = ReadOnly("_amp.latent_dim")
@@ -58,6 +58,7 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
 
     def __init__(self, params: dict[str, Any]) -> None:
         super().__init__(params)
+        self.latent_dim = self._amp.latent_dim
         self.encoder = SkillEncoder(
             self.model.a2c_network, lambda amp_obs: self._preproc_amp_obs(amp_obs), self._amp
         )
@@ -71,13 +72,8 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
     def _build_net_config(self) -> dict[str, Any]:
         return {**super()._build_net_config(), **self._sizes_of_inputs(self.env)}
 
-    @property
-    def latent_dim(self) -> int:
-        """Numbers in a latent."""
-        return self._amp.latent_dim
-
     def _latents_of(self, latent: str) -> Callable[[Tensor], Tensor]:
-        """Return a function from control steps of the episodes (N,) to latents (N, Z)."""
+        """Return a function from the episodes' control steps (N,) to latents (N, Z)."""
         task = require(self.env, SkillEnv, "a policy with skill latents")
         if latent in ("random", "interpolate"):
             schedule = make_evaluation_schedule(self._amp, task, self.encoder, self.device)
@@ -97,7 +93,7 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
         return (self.current_latents,)
 
     def _measure(self) -> None:
-        """As AMP's, and log which skills the motion shows."""
+        """Play and measure; log which skills the motion shows."""
         super()._measure()
         self.skills = self._probe.result() if self._probe is not None else None
         if self.skills is not None:
@@ -110,28 +106,22 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
 
 
 def read_latents(file: Path, latent_dim: int) -> Tensor:
-    """Read latents (K, latent_dim) from a .npy file, one or several, and scale them to length 1.
-
-    Raises:
-        ConfigError: the file cannot be read, or its rows are no latents of this width.
-    """
+    """Read one or several latents (K, latent_dim) from a .npy file, and scale them to length 1."""
     try:
         array = np.load(file, allow_pickle=False)
         rows = torch.from_numpy(np.atleast_2d(array).astype(np.float32))
-    except Exception as error:  # a file of another kind may raise anything in the reader
+    except Exception as error:  # The reader may raise anything for a file of another kind.
         raise ConfigError(
             f"latent={file}: {one_line(error)}; expected random, interpolate or a .npy file"
         ) from error
     if rows.ndim != 2 or rows.shape[1] != latent_dim or len(rows) == 0:
         raise ConfigError(
-            f"latent={file}: shape {array.shape}; the policy's latents have {latent_dim} numbers,"
-            f" expected (K, {latent_dim})"
+            f"latent={file}: the array has shape {array.shape}, expected (K, {latent_dim}) as the"
+            f" policy's latents have dimension {latent_dim}"
         )
     lengths = rows.norm(dim=-1)
     if not bool(((lengths > 0.0) & lengths.isfinite()).all()):
-        raise ConfigError(
-            f"latent={file}: a row is zero or not finite, so that it has no direction"
-        )
+        raise ConfigError(f"latent={file}: a row is zero or not finite; it has no direction")
     return F.normalize(rows, dim=-1)
 
 
@@ -140,10 +130,10 @@ class SkillResult:
     """The skills of a policy.
 
     Attributes:
-        clips: which clips the motion resembles.
-        encoder_reward: mean reward of the encoder for the latents that the policy acted under.
-        shuffled_reward: the same for the latents of other environments and times: the encoder's
-            reward for motion that does not depend on its latent.
+        clips: shares of the motion that resemble each clip.
+        encoder_reward: mean encoder reward for the latents of the motion.
+        shuffled_reward: mean encoder reward for latents of other environments and times. Motion
+            that does not depend on its latent would get this reward.
     """
 
     clips: ClipShares
@@ -159,7 +149,7 @@ class SkillResult:
 
 
 class SkillProbe:
-    """Collects windows of motion, and their latents, while a policy is played."""
+    """Collects windows of motion and their latents during a play."""
 
     def __init__(self, env: ClipWindowsEnv, encoder: SkillEncoder) -> None:
         self._env = env
@@ -170,17 +160,17 @@ class SkillProbe:
         self._steps = 0
 
     def step(self, latents: Tensor, amp_obs: Tensor) -> None:
-        """Store a step before resets: latents (N, Z), and AMP observations (N, F) after it."""
+        """Store a step before resets: latents (N, Z) and the AMP observations (N, F) after it."""
         self._steps += 1
         if self._steps % _STRIDE:
             return
-        # Frames from before the start of an episode are not the policy's.
+        # Frames before the start of an episode are not the policy's.
         own = self._env.progress_buf >= self._history_steps
         self._windows.append(amp_obs[own.to(amp_obs.device)])
         self._latents.append(latents[own.to(latents.device)])
 
     def result(self) -> SkillResult | None:
-        """Return the skills; None if no episode was long enough for a window."""
+        """Return the skills; None if all episodes were shorter than a window."""
         if not any(len(windows) for windows in self._windows):
             return None
         windows, latents = torch.cat(self._windows), torch.cat(self._latents)

@@ -35,16 +35,16 @@ from isaacgymenvs_lite.learning.skills.low_level_policy import (
 )
 from isaacgymenvs_lite.utils.state import Stateful
 
-# The train file with the values that a flat configuration leaves out.
+# Train file for the keys that a flat configuration omits.
 _DEFAULTS = "HumanoidASEHRLPPO"
-# Values of a configuration; everything else in a flat one is an object.
+# Types of configuration values; all other values of a flat configuration are objects.
 _PLAIN = (str, int, float, bool, dict, list, tuple, type(None))
 _ENV_NAME = "rlgpu"
 _NUM_ACTORS = 64
 
 
 class OverLowLevel:
-    """A frozen low-level controller below a policy whose actions are latents: agent and player.
+    """Mixin of agent and player: a policy whose actions are latents of a low-level controller.
 
     Attributes:
         llc: the low-level controller.
@@ -73,7 +73,7 @@ class OverLowLevel:
         )
 
     def _build_llc_agent_config(self) -> LowLevelSizes:
-        """Return the sizes that the low-level controller has in this task."""
+        """Return the low-level controller's sizes in this task."""
         return LowLevelSizes.from_task(
             require(self._env, HierarchyEnv, "train.params.algo: a hierarchy")
         )
@@ -91,22 +91,18 @@ class OverLowLevel:
 class HRLAgent(OverLowLevel, CommonAgent):
     """The agent of `algo: name: hrl` or `hrl_continuous`.
 
-    A step of the high level is `llc_steps` control steps under one latent: rewards are averaged
-    over them, an episode that ends in between earns nothing more, and is reset after the last one.
-    The task is a `HierarchyEnv`.
+    A step of the high level is `llc_steps` control steps under one latent, and its reward is their
+    mean. The remaining control steps after the end of an episode earn nothing, and the reset
+    follows the last control step. The task is a `HierarchyEnv`.
 
     Attributes:
         style_rewards: (N, 1) the low level's style rewards of the last step.
 
-    Args:
-        base_name: name for rl_games' bookkeeping.
-        params: the section `params` of a train file, as the Runner passes it, or a flat
-            configuration; see `complete_params`.
-        config: the same under the published name.
+    `params` may be a flat configuration; see `complete_params`.
 
     Raises:
-        ConfigError: a value that cannot be used, or a train file of no low-level controller.
-        CheckpointError: no low-level controller, or one that fits neither its file nor the task.
+        ConfigError: a value cannot be used, or the train file has no low-level controller.
+        CheckpointError: the low-level controller is missing, or does not fit its file or the task.
     """
 
     scalars: ClassVar[dict[str, str]] = {
@@ -131,7 +127,7 @@ class HRLAgent(OverLowLevel, CommonAgent):
         super().__init__(base_name, complete_params(given_params(params, config), _DEFAULTS))
 
     def load_networks(self, params: dict[str, Any]) -> None:
-        """Build the network that the section names, unless the configuration holds one."""
+        """Build the section's network, unless the configuration already holds one."""
         if "network" not in self.config:
             super().load_networks(params)
 
@@ -143,16 +139,16 @@ class HRLAgent(OverLowLevel, CommonAgent):
         self.llc = self._build_llc(self._hrl)
         self.control_steps_per_action = self._hrl.llc_steps
         self.style_rewards = torch.zeros(self.num_actors, 1, device=self.ppo_device)
-        # A subclass' reward as published depends on the motion alone.
+        # The published reward depends on the motion alone.
         self._disc_reward_takes_latents = accepts(self._calc_disc_reward, 2)
 
     def _setup_action_space(self) -> None:
-        """Make latents the actions: until here everything has the size of the task's actions."""
+        """Make latents the actions; before this call the action space is the task's."""
         self.env_info = {**self.env_info, "action_space": latent_space(self.llc.latent_dim)}
         super()._setup_action_space()
 
     def init_tensors(self) -> None:
-        """Allocate the rollout, style rewards included."""
+        """Allocate the rollout, including style rewards."""
         super().init_tensors()
         buffer = self.experience_buffer.tensor_dict
         buffer["disc_rewards"] = torch.zeros_like(buffer["rewards"])
@@ -160,18 +156,18 @@ class HRLAgent(OverLowLevel, CommonAgent):
     # --- checkpoint ------------------------------------------------------------------------
 
     def get_full_state_weights(self) -> dict[str, Any]:
-        """Return the checkpoint, which names the low level that it was trained over."""
+        """Return the checkpoint, including a reference to the low-level controller."""
         return {**super().get_full_state_weights(), LLC_KEY: self.llc.reference}
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Load a checkpoint; as CommonAgent."""
+        """Load a checkpoint; warn if it was trained over another low-level controller."""
         super().set_full_state_weights(weights, set_epoch)
         warn_of_another_llc(weights, self.llc.reference, self._restored_from)
 
     # --- rollout ---------------------------------------------------------------------------
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
-        """As CommonAgent; `exploration_correlation` correlates the noise of consecutive steps."""
+        """Sample latents; `exploration_correlation` correlates the noise of consecutive steps."""
         result = super().get_action_values(obs)
         if self._hrl.exploration_correlation != 0.0:
             given = (result[name] for name in ("actions", "mus", "sigmas"))
@@ -183,21 +179,18 @@ class HRLAgent(OverLowLevel, CommonAgent):
         return actions.clamp(-1.0, 1.0)
 
     def _obs_tensor(self, obs: Any) -> Tensor:
-        """Return the observation tensor (N, O), given what the environment returned."""
+        """Return the tensor (N, O) of the environment's observations."""
         tensors: Any = self.obs_to_tensors(obs)
         return tensors["obs"] if isinstance(tensors, dict) else tensors
 
     def env_step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
-        """Make `llc_steps` control steps under one latent.
-
-        Args:
-            actions: (N, Z).
+        """Make `llc_steps` control steps under one latent, `actions` (N, Z).
 
         Returns:
-            The observation after the last step, of an episode that ended before: the one at its
-            end; mean rewards (N, 1); dones (N,), 1.0 where any step ended the episode; the infos of
-            the last step, with `terminate` 1 where the episode's end was a failure, and `diverged`
-            True where the simulation diverged before it.
+            The last observation of each episode; mean rewards (N, 1); dones (N,), 1.0 where any
+            step ended the episode; and the infos of the last step. Their `terminate` is 1 where the
+            episode ended in failure, and `diverged` is True where the simulation diverged before
+            that.
         """
         actions = self.preprocess_actions(actions)
         obs = self._obs_tensor(self.obs)
@@ -209,7 +202,7 @@ class HRLAgent(OverLowLevel, CommonAgent):
         infos: dict[str, Any] = {}
         reset_buf = self._env.reset_buf
         for _ in range(self._hrl.llc_steps):
-            reset_buf.zero_()  # an episode that ended goes on until the last step
+            reset_buf.zero_()  # An ended episode continues until the last step.
             raw_obs, step_rewards, dones, infos = self.vec_env.step(
                 self._compute_llc_action(obs, actions)
             )
@@ -226,16 +219,13 @@ class HRLAgent(OverLowLevel, CommonAgent):
                 diverged |= in_step & going_on.bool()
             going_on *= 1.0 - dones.float()
         self.style_rewards /= self._hrl.llc_steps
-        # Later steps may have cleared the mark of an episode that ended in an earlier one.
+        # Later steps may have cleared the flag of an earlier end.
         reset_buf.masked_fill_((going_on == 0.0).to(reset_buf.device), 1)
         infos = {**infos, "terminate": terminate, "diverged": diverged}
         return {"obs": obs}, rewards / self._hrl.llc_steps, 1.0 - going_on, infos
 
     def _calc_disc_reward(self, amp_obs: Tensor, latents: Tensor | None = None) -> Tensor:
-        """Return the low level's style rewards (N, 1); see `LowLevelPolicy.style_reward`.
-
-        Called only if disc_reward_w is not 0.
-        """
+        """Return the low level's style rewards (N, 1) if disc_reward_w is not 0."""
         return self.llc.style_reward(amp_obs, latents)
 
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
@@ -254,12 +244,12 @@ class HRLAgent(OverLowLevel, CommonAgent):
     def _track_episodes(
         self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
     ) -> None:
-        """As CommonAgent, counted in control steps and their rewards."""
+        """Update episode statistics in control steps and their rewards."""
         steps = self._hrl.llc_steps
         super()._track_episodes(steps * rewards, steps * shaped_rewards, infos)
 
     def mean_policy(self, env: Env) -> Callable[[dict[str, Tensor]], Tensor]:
-        """Return a policy that makes one control step per call; see CommonAgent."""
+        """Return a policy without noise that makes one control step per call."""
 
         def choose(obs: Tensor) -> Tensor:
             means = self._evaluate_policy({"obs": obs}, {})["mus"].float()
@@ -270,15 +260,15 @@ class HRLAgent(OverLowLevel, CommonAgent):
 
 
 class CorrelatedNoise(Stateful):
-    """Makes the noise of a Gaussian policy a process in time; each sample stays standard normal.
+    """Correlates the noise of a Gaussian policy in time; each sample stays standard normal.
 
-    Independent noise on a latent selects another skill six times a second, and none is carried out.
-    Hollenstein et al. 2024, "Colored Noise in PPO" (arXiv 2312.11091), with a first-order
-    autoregressive process in place of their coloured one.
+    Independent noise on a latent would select another skill six times a second. The noise is a
+    first-order autoregressive process instead of the coloured noise of Hollenstein et al. 2024,
+    "Colored Noise in PPO" (arXiv 2312.11091). PPO's probability of an action still assumes
+    independent noise, as in the paper.
 
     Args:
-        correlation: of the noise of two steps that follow each other, 0 to below 1. PPO's
-            probability of an action still assumes independent noise, as in the paper.
+        correlation: correlation of the noise of consecutive steps, 0 to below 1.
     """
 
     stored = ("_last",)
@@ -290,10 +280,7 @@ class CorrelatedNoise(Stateful):
     def apply(self, actions: Tensor, mus: Tensor, sigmas: Tensor) -> tuple[Tensor, Tensor]:
         """Return actions (N, A) and their negative log probabilities (N,) under the policy.
 
-        Args:
-            actions: mus + sigmas * standard normal noise.
-            mus: mean actions (N, A).
-            sigmas: standard deviations (N, A).
+        `actions` are mean actions `mus` plus `sigmas` times standard normal noise, (N, A) each.
         """
         noise = (actions - mus) / sigmas
         if self._last is not None:
@@ -306,19 +293,19 @@ class CorrelatedNoise(Stateful):
 
 
 def complete_params(params: Mapping[str, Any], train_file: str) -> dict[str, Any]:
-    """Return the section `params` of a train file, as rl_games' Runner passes it to an agent.
+    """Return a complete section `params`, as rl_games' Runner passes it to an agent.
 
     The published HRLAgent is constructed by hand, with a flat configuration.
 
     Args:
-        params: such a section, which is returned as it is, or a flat configuration: keys of its
-            `config`, which replace the values of `train_file`. `network` may be a section or a
-            model of rl_games that is not built yet; `vec_env` and `env_info` an environment that
-            exists; without them `env_config` holds arguments of `isaacgymenvs_lite.make`.
+        params: a complete section, which is returned unchanged, or a flat configuration: keys of
+            the section's `config`, which replace the values of `train_file`. `network` may be a
+            section or an unbuilt model of rl_games. `vec_env` and `env_info` may be an existing
+            environment; otherwise `env_config` holds arguments of `isaacgymenvs_lite.make`.
         train_file: name of the train file with the values of all other keys.
 
     Raises:
-        ConfigError: a value that cannot be used, or no environment to make.
+        ConfigError: a value cannot be used, or there is no environment to make.
     """
     if isinstance(params.get("config"), Mapping):
         return dict(params)
@@ -327,7 +314,7 @@ def complete_params(params: Mapping[str, Any], train_file: str) -> dict[str, Any
     vec_env = objects.get("vec_env")
     if vec_env is not None:
         given.setdefault("num_actors", vec_env.env.num_envs)
-        # Spaces are objects, not values of a configuration.
+        # Spaces are objects, not configuration values.
         objects["env_info"] = given.pop("env_info", None) or vec_env.get_env_info()
     num_actors = int(given.setdefault("num_actors", _NUM_ACTORS))
     device = str(given.setdefault("device", "cpu"))
@@ -355,10 +342,10 @@ def _check_env(given: dict[str, Any], vec_env: Any, num_actors: int) -> None:
     name = given.setdefault("env_name", _ENV_NAME)
     if name not in env_configurations.configurations:
         raise ConfigError(
-            f"env_name={name} is not known to rl_games: call"
+            f"env_name={name} is not registered with rl_games: call"
             " isaacgymenvs_lite.registration.build_runner() first, or give vec_env"
         )
-    # A copy: the caller's dictionary is not changed.
+    # The caller's dictionary stays unchanged.
     env_config = given["env_config"] = dict(given.get("env_config") or {})
     if name == _ENV_NAME and "task" not in env_config:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""The model of the high-level policy: rl_games' Gaussian policy as it is."""
+"""The high-level policy's model: rl_games' Gaussian policy model, unchanged."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from rl_games.algos_torch.models import BaseModel, ModelA2CContinuousLogStd
 
 
 class ModelHRLContinuous(ModelA2CContinuousLogStd):
-    """`model: name: continuous_hrl` or `hrl`; normalisers of observations and values inside it."""
+    """`model: name: continuous_hrl` or `hrl`, with the normalisers inside."""
 
     def __init__(self, network: Any) -> None:
         BaseModel.__init__(self, "hrl")

@@ -1,4 +1,4 @@
-"""The network of the high-level policy: an actor-critic whose mean actions stay within +-1."""
+"""The high-level policy's network: an actor-critic with mean actions within +-1."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from isaacgymenvs_lite.learning.modules.actor_critic_network import ActorCriticN
 class HRLBuilder(A2CBuilder):
     """Builds the network of the section `network:` with `name: hrl`.
 
-    Parameter names are ASE's: `sigma, actor_mlp, critic_mlp, value, mu`.
+    Parameters have ASE's names: `sigma, actor_mlp, critic_mlp, value, mu`.
     """
 
     class Network(ActorCriticNetwork):
-        """Actor and critic; mean actions are tanh of the actor's output, as ASE."""
+        """Actor and critic; mean actions are tanh of the actor's output, as in ASE."""
 
         def _act_on(self, features: Tensor) -> tuple[Tensor, Tensor]:
             mu, logstd = super()._act_on(features)
             return torch.tanh(mu), logstd
 
         def forward(self, obs_dict: dict[str, Any]) -> tuple[Any, ...]:
-            """As ActorCriticNetwork."""
+            """Return mean actions, log standard deviations, values and no recurrent state."""
             obs = obs_dict["obs"]
             return *self.eval_actor(obs), self.eval_critic(obs), None
 
     def build(self, name: str, **kwargs: Any) -> HRLBuilder.Network:
-        """Build the network; rl_games calls this through the model."""
+        """Build the network."""
         return HRLBuilder.Network(self.params, **kwargs)

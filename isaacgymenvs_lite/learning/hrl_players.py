@@ -1,4 +1,4 @@
-"""Plays a hierarchy: the high-level policy chooses latents for the frozen low level."""
+"""The player of hierarchies: a high-level policy chooses latents for the frozen low level."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from isaacgymenvs_lite.learning.skills.latents import latent_space
 
 
 class HRLPlayer(OverLowLevel, CommonPlayer):
-    """The player of `hrl` and `hrl_continuous`; the reward that it reports is the task's."""
+    """The player of `hrl` and `hrl_continuous`, which reports the task's reward."""
 
     def __init__(self, params: dict[str, Any]) -> None:
         self._section = params
         self._hrl = read_agent_params(params["config"], HRLParams)
+        self.llc_steps = self._hrl.llc_steps
         super().__init__(params)
         self._policy = self.llc.policy_under(
             lambda obs: self.get_action({"obs": obs}, self.is_deterministic),
-            self._hrl.llc_steps,
+            self.llc_steps,
             self._compute_llc_action,
         )
 
@@ -35,15 +36,10 @@ class HRLPlayer(OverLowLevel, CommonPlayer):
         super()._setup_action_space()
 
     def restore(self, fn: str) -> dict[str, Any]:
-        """Load the high level from a checkpoint; see `RestoringPlayer.restore`."""
+        """Load the high-level policy from a checkpoint, and return its entries."""
         state = super().restore(fn)
         warn_of_another_llc(state, self.llc.reference, fn)
         return state
-
-    @property
-    def llc_steps(self) -> int:
-        """Control steps under one latent."""
-        return self._hrl.llc_steps
 
     def act(self, obs: dict[str, Tensor]) -> Tensor:
         """Return the task's actions (N, A); the latent changes every `llc_steps` calls."""

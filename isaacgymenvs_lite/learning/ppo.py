@@ -1,4 +1,4 @@
-"""rl_games' own PPO: its agent with the fast networks of this project on a CPU, and its player."""
+"""rl_games' PPO with this project's fast networks on CPUs, and its player."""
 
 from __future__ import annotations
 
@@ -24,18 +24,10 @@ from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 
 class PPOAgent(PPOSafeguards):
-    """The agent of `algo: name: a2c_continuous`: rl_games' loops, losses and checkpoints.
+    """The agent of `algo: name: a2c_continuous`, with rl_games' loops, losses and checkpoints.
 
-    On a CPU a `ParallelNetwork` evaluates its networks, the asymmetric critic's too, as in
-    CommonAgent; on a GPU it is rl_games' agent as it is. Transitions of simulations that diverged
-    are left out of the update; see `diverged`.
-
-    Args:
-        base_name: name for rl_games' bookkeeping.
-        params: the section `params` of a train file, prepared by the Runner.
-
-    Raises:
-        ConfigError: mixed_precision is none of True, False, "auto", or an epoch has one sample.
+    On a CPU a `ParallelNetwork` evaluates the networks, including an asymmetric critic. Transitions
+    of simulations that diverged are left out of the update; see `diverged`.
     """
 
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
@@ -43,13 +35,13 @@ class PPOAgent(PPOSafeguards):
         device = torch.device(config.get("device", "cuda:0"))
         precision = config.get("mixed_precision", False)
         on_cpu = device.type == "cpu"
-        # rl_games' switch means CUDA autocast with a gradient scaler.
+        # rl_games' key means CUDA autocast with a gradient scaler.
         config["mixed_precision"] = not on_cpu and resolve_mixed_precision(precision, device)
         leave_out_nccl(config)
         config["torch_compile"] = torch_compile_setting(
             config.get("torch_compile"), device.type, can_compile=True
         )
-        with one_torch_thread():  # initialisers that factorise differ in the last bits by threads
+        with one_torch_thread():  # The last bits of orthogonal initialisers depend on the threads.
             super().__init__(base_name, params)
         self._mask = RolloutMask(self.horizon_length)
         self._meters = EpisodeMeters(self, ("game_rewards", "game_shaped_rewards", "game_lengths"))
@@ -64,15 +56,15 @@ class PPOAgent(PPOSafeguards):
     def env_reset(self) -> Any:
         """Reset the environment at the start of training.
 
-        All work but the sliced networks is too small to be split by torch's own threads. With
-        deterministic algorithms recurrent networks are not split either.
+        torch's own threads would slow down the small operations between sliced networks, and would
+        make recurrent networks differ from run to run with deterministic algorithms.
         """
         if self._sliced or torch.are_deterministic_algorithms_enabled():
             torch.set_num_threads(1)
         return super().env_reset()
 
     def env_step(self, actions: Tensor) -> Any:
-        """Step the task, and store which simulations diverged."""
+        """Step the task, and record diverged simulations."""
         result: Any = super().env_step(actions)
         *_, dones, infos = result
         diverged = diverged_in(infos, self.ppo_device)
@@ -81,11 +73,7 @@ class PPOAgent(PPOSafeguards):
         return result
 
     def mean_policy(self, env: Env) -> Callable[[dict[str, Tensor]], Tensor]:
-        """Return the policy for `env`, another task of the same kind: mean actions without noise.
-
-        Args:
-            env: where the policy will act, from its first reset on.
-        """
+        """Return the policy without noise for `env`, another task of the same kind."""
         self.set_eval()
         of_training: Any = self.rnn_states or []
         states: Any = [  # (layers, N, units)
@@ -96,7 +84,7 @@ class PPOAgent(PPOSafeguards):
         def act(obs: dict[str, Tensor]) -> Tensor:
             nonlocal states
             tensors: Any = self.obs_to_tensors(obs)
-            if states:  # new episodes remember nothing
+            if states:  # New episodes start with empty states.
                 lasting = (env.progress_buf > 0).to(self.ppo_device).view(1, -1, 1)
                 states = [state * lasting for state in states]
             result = self.model(
@@ -113,23 +101,15 @@ class PPOAgent(PPOSafeguards):
 
         return act
 
-    def discount_values(
-        self,
-        fdones: Tensor,
-        last_extrinsic_values: Tensor,
-        mb_fdones: Tensor,
-        mb_extrinsic_values: Tensor,
-        mb_rewards: Tensor,
-    ) -> Any:
-        """Return advantages (H, N, values), zero where a simulation diverged; as rl_games."""
-        rollout = (fdones, last_extrinsic_values, mb_fdones, mb_extrinsic_values, mb_rewards)
+    def discount_values(self, *rollout: Tensor) -> Any:
+        """Return advantages (H, N, values), which are zero where a simulation diverged."""
         kept = self._mask.kept
         if kept is None:
             return super().discount_values(*rollout)
-        return self.discount_values_masks(*rollout, kept.float())
+        return self.discount_values_masks(*rollout, mb_masks=kept.float())
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
-        """Make the training set of the rows whose simulation did not diverge."""
+        """Fill the dataset with the rows whose simulation did not diverge."""
         kept = self._mask.kept
         if kept is not None:
             flat = swap_and_flatten01(kept)
@@ -148,7 +128,7 @@ class PPOAgent(PPOSafeguards):
             self.dataset.values_dict["advantages"] = normalized
 
     def train_actor_critic(self, input_dict: dict[str, Any]) -> Any:
-        """Take a gradient step; the mean of a recurrent policy's losses is over unmasked rows."""
+        """Take a gradient step; a recurrent policy's losses are means over unmasked rows."""
         masks = input_dict.get("rnn_masks")
         if masks is not None:
             input_dict["rnn_masks"] = masks / masks.mean().clamp(min=1.0 / len(masks))
@@ -156,7 +136,7 @@ class PPOAgent(PPOSafeguards):
 
 
 class PPOPlayer(EpisodePlayer, RestoringPlayer, PpoPlayerContinuous):
-    """The player of `a2c_continuous`, also of recurrent policies."""
+    """The player of `a2c_continuous`, including recurrent policies."""
 
     def __init__(self, params: dict[str, Any]) -> None:
         super().__init__(params)
@@ -164,7 +144,7 @@ class PPOPlayer(EpisodePlayer, RestoringPlayer, PpoPlayerContinuous):
         self.init_rnn()
 
     def on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
-        """Reset the recurrent state where episodes ended, dones (N,)."""
+        """Reset the recurrent states of ended episodes, dones (N,)."""
         if self.is_rnn:
             ended = dones.nonzero().flatten()
             for state in self.states:  # (layers, N, units)

@@ -1,7 +1,7 @@
-"""Explains methods and attributes of IsaacGymEnvs' and ASE's agents that are not here.
+"""Explains published methods and attributes of IsaacGymEnvs' and ASE's agents that are absent here.
 
-A subclass that overrides a method which nothing calls here would silently train without it: its
-definition raises an error. docs/migration.md lists all published names.
+A subclass may override a method that nothing calls here, and would silently train without it. Its
+class statement raises an error instead. docs/migration.md lists all published names.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from isaacgymenvs_lite.errors import OverrideError
 
 _PACKAGE = __name__.partition(".")[0]
 _NOT_OWN = frozenset((_PACKAGE, "rl_games", "torch", "builtins", "typing", "abc"))
-_LOOP = "the play loop is evaluation.evaluate's: act(obs), _post_step(info) or run() of your own"
+_LOOP = "evaluation.evaluate has the play loop; override act(obs), _post_step(info) or run()"
 _BUILD_LLC = "_build_llc(params) returns the LowLevelPolicy of the keys llc_config, llc_checkpoint"
 _LLC_SIZES = "_build_llc_agent_config() returns the LowLevelSizes of the task"
 _NO_COLOUR = "viewers here do not colour characters by their latents"
 
-# Published name -> what to use instead. `name(argument)` is a method with such an argument.
+# Published name -> replacement. `name(argument)` is a method with this argument.
 AGENT_NAMES = {
     "_amp_debug()": "_record_step(n, infos) gets infos['amp_obs'] of each step",
     "_build_llc(config_params)": _BUILD_LLC,
@@ -29,14 +29,14 @@ AGENT_NAMES = {
     "_change_char_color()": _NO_COLOUR,
     "_enc_loss()": "_extra_losses(result, batch, input_dict), with result['enc_pred']",
     "_eval_critic(ase_latents)": "obs_dict['amp_latents'] are the latents",
-    "_get_mean_rewards()": "_track_episodes(rewards, shaped_rewards, infos) fills the meters that"
-    " rl_games logs and saves by",
+    "_get_mean_rewards()": "_track_episodes(rewards, shaped_rewards, infos) updates the meters of"
+    " rl_games' log and best checkpoint",
     "_reset_latent_step_count()": "schedule.restart(env_ids); keys latent_steps_min, _max",
-    "_reset_latents()": "_sample_latents(n) draws them, _after_reset(env_ids) gets the environments"
-    " that start",
+    "_reset_latents()": "_sample_latents(n) draws latents, _after_reset(env_ids) gets the"
+    " environments with new episodes",
     "_save_intermediate": "every file of save_frequency has its epoch in its name",
-    "central_value_net": "a train file with a central_value_config makes one in agents of AMP, not"
-    " of ASE and hierarchies",
+    "central_value_net": "agents of AMP make one if the train file has a central_value_config;"
+    " agents of ASE and hierarchies refuse the key",
     "env_reset(env_ids)": "_env_reset_done() resets, _after_reset(env_ids) gets them",
     "get_action_values(ase_latents)": "_policy_inputs() returns the latents",
     "get_action_values(rand_action_probs)": "get_action_values(obs) reads self._rand_action_probs",
@@ -53,8 +53,8 @@ PLAYER_NAMES = {
     "_env_reset_done()": _LOOP,
     "_latent_step_count": "every environment has a schedule of its own, as in training",
     "_reset_latent_step_count()": "keys latent_steps_min, latent_steps_max",
-    "_reset_latents()": "_latents_of(latent) returns what gives the latents of each step",
-    "_update_latents()": "_latents_of(latent) returns what gives the latents of each step",
+    "_reset_latents()": "_latents_of(latent) returns a function that computes each step's latents",
+    "_update_latents()": "_latents_of(latent) returns a function that computes each step's latents",
     "env_reset()": _LOOP,
     "env_step()": _LOOP,
     "mask": "there are no action masks",
@@ -69,7 +69,7 @@ NETWORK_NAMES = {
 
 
 class PublishedNames:
-    """Mixin for classes that people subclass: refuses overrides that nothing calls here."""
+    """Mixin for classes with user subclasses: refuses overrides that nothing calls."""
 
     replaced: ClassVar[dict[str, str]] = {}
 
@@ -89,7 +89,7 @@ class PublishedNames:
         for published, instead in cls.replaced.items():
             name, _, argument = published.removesuffix(")").partition("(")
             method = defined.get(name)
-            # A loop of one's own (`run`) calls what it likes.
+            # A subclass with its own loop (`run`) may call any method.
             if not inspect.isfunction(method) or name in called or "run" in defined:
                 continue
             if not argument or argument in inspect.signature(method).parameters:
@@ -104,7 +104,7 @@ class PublishedNames:
 
 
 class ExplainedNames(PublishedNames):
-    """Mixin for agents and players: its AttributeError names where a published attribute is."""
+    """Mixin of agents and players: AttributeErrors name the replacement of a published name."""
 
     def __getattr__(self, name: str) -> Any:
         instead = self.replaced.get(name) or self.replaced.get(f"{name}()")
@@ -116,11 +116,11 @@ class ExplainedNames(PublishedNames):
 
 
 class ReadOnly:
-    """A published attribute whose value is stored elsewhere here.
+    """A published attribute whose value is stored under another name.
 
     Args:
-        path: where, relative to the object: `_amp.disc_coef`.
-        set_by: what sets the value; by default the key of this name.
+        path: path of the value, relative to the object: `_amp.disc_coef`.
+        set_by: source of the value; by default the key of the same name.
     """
 
     def __init__(self, path: str, set_by: str = "") -> None:
@@ -137,17 +137,12 @@ class ReadOnly:
         raise OverrideError(self.refusal(type(instance)))
 
     def refusal(self, cls: type) -> str:
-        """Return the message for an attempt to set it in a class or an object."""
+        """Return the message for an attempt to set the attribute."""
         return f"{cls.__name__}.{self._name} can only be read; its value comes from {self.set_by}"
 
 
-def is_overridden(instance: Any, method: Callable[..., Any]) -> bool:
-    """Return whether the class of `instance` overrides a method."""
-    return getattr(type(instance), method.__name__) is not method
-
-
 def accepts(function: Callable[..., Any], num_arguments: int) -> bool:
-    """Return whether a function may be called with so many positional arguments."""
+    """Return whether a function can be called with this number of positional arguments."""
     try:
         inspect.signature(function).bind(*range(num_arguments))
     except TypeError:

@@ -1,4 +1,4 @@
-"""A ring of rows of named tensors, sampled without replacement pass by pass."""
+"""A ring buffer of rows of named tensors."""
 
 from __future__ import annotations
 
@@ -11,15 +11,11 @@ from isaacgymenvs_lite.learning.published_names import PublishedNames
 
 
 class ReplayBuffer(PublishedNames):
-    """Holds the newest `buffer_size` rows that were stored.
+    """Holds the newest `buffer_size` rows, as IsaacGymEnvs' ReplayBuffer.
 
-    `sample` walks through a random permutation of all rows and draws a new one when it passes the
-    end, so that every row is seen once before any is seen twice; while the buffer is not full,
-    indices are taken modulo the number of rows stored. As IsaacGymEnvs.
-
-    Args:
-        buffer_size: rows, at least 1.
-        device: of the rows.
+    `sample` walks through a random permutation of all rows, and draws a new permutation at its end.
+    Every row is therefore seen once before any row is seen twice. While the buffer is not full,
+    indices are taken modulo the number of stored rows.
     """
 
     def __init__(self, buffer_size: int, device: str | torch.device) -> None:
@@ -35,24 +31,21 @@ class ReplayBuffer(PublishedNames):
         self._reset_sample_idx()
 
     def get_buffer_size(self) -> int:
-        """Return how many rows fit."""
+        """Return the buffer's capacity in rows."""
         return self._buffer_size
 
     def get_total_count(self) -> int:
-        """Return the rows stored since the start or the last `reset`, overwritten ones included."""
+        """Return the number of rows stored since the last `reset`, including overwritten rows."""
         return self._total_count
 
     @property
     def rows(self) -> dict[str, Tensor]:
-        """All stored rows, {name: (n, ...)}, in no particular order; do not change them."""
+        """All stored rows {name: (n, ...)} in arbitrary order, which callers must not change."""
         n = min(self._total_count, self._buffer_size)
         return {name: ring[:n] for name, ring in self._data_buf.items()}
 
     def store(self, data: dict[str, Tensor]) -> None:
-        """Append rows, name -> (n, ...); the oldest are overwritten, the last ones stay.
-
-        Names and row shapes are the same in every call. n may be 0.
-        """
+        """Append rows {name: (n, ...)}; every call has the same names and row shapes."""
         n = len(next(iter(data.values())))
         if n == 0:
             return
@@ -69,17 +62,15 @@ class ReplayBuffer(PublishedNames):
         self._head = (self._head + n) % self._buffer_size
 
     def _init_data_buf(self, data: dict[str, Tensor]) -> None:
-        """Allocate rings for rows of these shapes."""
+        """Allocate ring buffers for rows of these shapes."""
         for name, rows in data.items():
             shape = (self._buffer_size, *rows.shape[1:])
             self._data_buf[name] = torch.empty(shape, dtype=rows.dtype, device=self._device)
 
     def store_some(self, data: dict[str, Tensor], keep_prob: float) -> None:
-        """Append all rows until more were stored than fit, then a random share of them.
+        """Append rows; once the buffer is full, store each row with probability `keep_prob`.
 
-        Args:
-            data: as `store`; of more rows than fit some are drawn.
-            keep_prob: probability that a row is stored once the buffer is full.
+        If more rows are left than the buffer holds, random ones are stored.
         """
         values = next(iter(data.values()))
         rows = torch.arange(len(values), device=values.device)
@@ -91,7 +82,7 @@ class ReplayBuffer(PublishedNames):
         self.store({name: values[rows] for name, values in data.items()})
 
     def sample(self, n: int) -> dict[str, Tensor]:
-        """Return n rows, name -> (n, ...); the buffer holds at least one."""
+        """Return n rows {name: (n, ...)}; the buffer must not be empty."""
         order = (self._sample_head + torch.arange(n, device=self._device)) % self._buffer_size
         rows = self._sample_idx[order]
         if self._total_count < self._buffer_size:
@@ -102,20 +93,15 @@ class ReplayBuffer(PublishedNames):
         return {name: stored.index_select(0, rows) for name, stored in self._data_buf.items()}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the stored rows, and the places of the next rows to store and to sample."""
-        # A part is copied: else a file would hold the whole ring.
+        """Return the stored rows, and the positions of storing and sampling."""
+        # A slice is copied; otherwise a file would hold the whole ring.
         is_full = self._total_count >= self._buffer_size
         rows = {name: row if is_full else row.clone() for name, row in self.rows.items()}
         counts = [self._head, self._total_count, self._sample_head]
         return {"rows": rows, "counts": counts, "order": self._sample_idx.cpu().clone()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the rows of a buffer of the same size.
-
-        Raises:
-            ValueError: the buffer had another size.
-            RuntimeError: its rows had another shape.
-        """
+        """Restore the rows of a buffer of the same size."""
         rows, order = state["rows"], state["order"]
         if not torch.equal(order.sort().values, torch.arange(self._buffer_size)):
             raise ValueError(f"a replay buffer of {len(order)} rows, expected {self._buffer_size}")
@@ -127,6 +113,6 @@ class ReplayBuffer(PublishedNames):
         self._sample_idx = order.to(self._device)
 
     def _reset_sample_idx(self) -> None:
-        """Draw the order in which rows are sampled."""
+        """Draw the order of the next samples."""
         self._sample_idx = torch.randperm(self._buffer_size, device=self._device)
         self._sample_head = 0

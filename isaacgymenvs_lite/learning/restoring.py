@@ -1,7 +1,7 @@
-"""Checks that a checkpoint fits agent or player before anything of it is loaded.
+"""Checks that a whole checkpoint fits an agent or a player before any of it is loaded.
 
-`load_state_dict` stops halfway at a tensor that does not fit, and Adam's fused step reads as many
-entries of a moment as its parameter has, whatever the moment's size is.
+`load_state_dict` would stop halfway at a tensor that does not fit, and Adam's fused step does not
+check the sizes of its moments.
 """
 
 from __future__ import annotations
@@ -20,20 +20,15 @@ from isaacgymenvs_lite.errors import CheckpointError
 _COMPILED_PREFIX = "_orig_mod."
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 _NOT_NEGATIVE = ("running_var", "exp_avg_sq", "step")
-"""Ends of the names of tensors that are never negative."""
+"""Suffixes of the names of tensors that are never negative."""
 
 
 @dataclass(frozen=True)
 class Parts:
     """The entries of a checkpoint that an agent or a player loads, by the checkpoint's keys.
 
-    Attributes:
-        modules: networks and normalisers.
-        optimizers: of the agent; all of them are Adam.
-        tensors: single tensors.
-        others: gradient scalers, whose state holds only numbers.
-        optional: keys that a checkpoint may lack.
-        counts: True if it must have `epoch` and `frame`.
+    `others` are gradient scalers, whose state holds only scalars. A checkpoint may lack `optional`
+    keys; with `counts` it must have `epoch` and `frame`.
     """
 
     modules: Mapping[str, nn.Module]
@@ -51,33 +46,27 @@ class Parts:
         return [key for key in keys if key not in self.optional]
 
 
-# Checked when the file was read; a task checks its own entry.
+# `load_checkpoint` has checked these; a task checks its own `env_state`.
 _AS_THEY_ARE = ("epoch", "frame", "last_mean_rewards", "env_state", LLC_KEY)
 
 
 class Fitting:
     """Compares a checkpoint with the modules and optimisers that load it.
 
-    Args:
-        source: the user's argument, the first words of a message: `checkpoint=FILE`.
-        hint: what to do if it does not fit.
+    Messages begin with `source`, the user's argument (`checkpoint=FILE`), and end with `hint`.
     """
 
     def __init__(
         self,
         source: str,
-        hint: str = "made with another network or task; use the task= and train= it was trained"
-        " with (config.yaml in its run folder)",
+        hint: str = "made with another network or task; use its own task= and train="
+        " (config.yaml in its run folder)",
     ) -> None:
         self._source = source
         self._hint = hint
 
     def parts(self, state: Mapping[str, Any], parts: Parts) -> dict[str, Any]:
-        """Return the entries of a checkpoint that `parts` names, once all of them fit.
-
-        Raises:
-            CheckpointError: an entry is missing or does not fit; the message names the first.
-        """
+        """Return the entries that `parts` names, or raise CheckpointError for the first misfit."""
         missing = [key for key in parts.required if key not in state]
         if missing:
             needs = " (test=True needs less)" if parts.optimizers else ""
@@ -122,18 +111,16 @@ class Fitting:
             raise self._misfit(f"{where} is {_kind(given)}, expected {_kind(own)}")
         if not given.isfinite().all():
             raise CheckpointError(
-                f"{self._source}: {where} holds numbers that are not finite: its training had"
-                " broken down; take an earlier checkpoint of it"
+                f"{self._source}: {where} has values that are not finite: its training diverged;"
+                " use an earlier checkpoint of it"
             )
         if where.endswith(_NOT_NEGATIVE) and (given < 0).any():
-            raise CheckpointError(
-                f"{self._source}: {where} holds numbers below 0; take another checkpoint"
-            )
+            raise CheckpointError(f"{self._source}: {where} has values below 0; use another file")
 
     def _optimizer(
         self, given: Any, optimizer: torch.optim.Optimizer, model: nn.Module | None, where: str
     ) -> dict[str, Any]:
-        """Return the moments of an Adam with the groups and settings of `optimizer`."""
+        """Return Adam's moments with the groups and settings of `optimizer`."""
         own = optimizer.state_dict()["param_groups"]
         parameters = [p.detach() for group in optimizer.param_groups for p in group["params"]]
         try:
@@ -146,7 +133,7 @@ class Fitting:
             for number, entry in given["state"].items():
                 moments[number] = {
                     **{name: entry[name] for name in _MOMENTS},
-                    # Before torch 1.12 it was a number.
+                    # Before torch 1.12 the step was a number.
                     "step": torch.as_tensor(entry["step"], dtype=torch.float32),
                 }
                 for name, value in moments[number].items():
@@ -156,36 +143,32 @@ class Fitting:
             line = str(error)
             line = line if line.startswith(self._source) else f"{self._source}: {line}"
             raise CheckpointError(line) from error
-        except Exception as error:  # a damaged or foreign state may have any structure
+        except Exception as error:  # A damaged or foreign state may have any structure.
             raise self._misfit(f"{where} is no state of this optimiser") from error
         return {"state": moments, "param_groups": own}
 
     def _other(self, given: Any, other: Any, where: str) -> dict[str, Any]:
-        """Return the numbers of another object with a state, such as a gradient scaler."""
+        """Return the scalars of another object with a state, such as a gradient scaler."""
         try:
             return {name: type(own)(given[name]) for name, own in other.state_dict().items()}
         except Exception as error:
-            raise self._misfit(f"{where} does not hold the expected numbers") from error
+            raise self._misfit(f"{where} does not hold the expected values") from error
 
     def _misfit(self, what: str) -> CheckpointError:
         return CheckpointError(f"{self._source}: {what}: {self._hint}")
 
 
 class RestoringPlayer(BasePlayer):
-    """Loads a checkpoint once all of it fits; a mixin, listed before rl_games' player."""
+    """Mixin: loads a checkpoint once all of it fits; precedes rl_games' player."""
 
     model: Any
 
     def _parts(self) -> Parts:
-        """Return the entries of a checkpoint that it loads."""
+        """Return the entries of a checkpoint that the player loads."""
         return Parts({"model": self.model})
 
     def restore(self, fn: str) -> dict[str, Any]:
-        """Load a checkpoint, and return its entries.
-
-        Raises:
-            CheckpointError: the file cannot be used; the player is unchanged then.
-        """
+        """Load a checkpoint and return its entries, or raise CheckpointError."""
         parts = self._parts()
         state = Fitting(f"checkpoint={fn}").parts(load_checkpoint(fn), parts)
         for key, module in parts.modules.items():
@@ -197,8 +180,8 @@ class RestoringPlayer(BasePlayer):
 
 
 def _kind(value: Any) -> str:
-    """Return shape and type of a tensor in words, of another value its type."""
+    """Return shape and type of a tensor, or the type of another value, in words."""
     if not isinstance(value, Tensor):
         return f"a {type(value).__name__}"
-    shape = "x".join(str(size) for size in value.shape) or "one number"
+    shape = "x".join(str(size) for size in value.shape) or "one value"
     return f"{shape} {str(value.dtype).removeprefix('torch.')}"

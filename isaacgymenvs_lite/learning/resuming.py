@@ -1,7 +1,7 @@
-"""Mixin of all agents: a resumed training is the training that was never stopped, bit for bit.
+"""Mixin of all agents: a resumed training repeats the uninterrupted training bit for bit.
 
-At every periodic checkpoint and at the end, the agent writes a training state: the state of the
-agent, its task, the observers and the random generators. A resumed training loads it before its
+The agent writes a training state at every periodic checkpoint and at the end. It has the state of
+the agent, its task, the observers and the random generators. A resumed training loads it before its
 first epoch, after the usual reset of the environments.
 """
 
@@ -27,12 +27,7 @@ from isaacgymenvs_lite.checkpoints.training_state import (
 from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.errors import CheckpointError, one_line
 from isaacgymenvs_lite.run.event_writer import continue_log
-from isaacgymenvs_lite.utils.state import (
-    read_generators,
-    read_state,
-    write_generators,
-    write_state,
-)
+from isaacgymenvs_lite.utils.state import read_generators, read_state, write_generators, write_state
 
 log = logging.getLogger(__name__)
 _FEW_EPOCHS = 20
@@ -43,15 +38,15 @@ _RATES = ("learning_rate", "actor_lr", "critic_lr", "alpha_lr")
 class Resuming(BaseAlgorithm):
     """Writes training states, and continues from a training state.
 
-    Config keys: `save_frequency` (epochs between two states), `save_buffers` (True or False stores
-    the replay buffers or leaves them out; without the key large ones are left out in the first 20
-    epochs), and `resume`, which the runner sets: the file to continue from.
+    Keys of `params.config`: `save_frequency` (epochs between two states), `save_buffers` (whether
+    to store replay buffers; by default large ones are not stored in the first 20 epochs), and
+    `resume` (the file to continue from, which the runner sets).
 
     Attributes:
-        stored: names of attributes to store in addition to the checkpoint; the names in base
-            classes count too. A dot leads to an attribute of an attribute.
-        stored_episodes: likewise, the state of the running episodes.
-        stored_buffers: likewise, the replay buffers.
+        stored: names of attributes that a state has in addition to the checkpoint. Lists of base
+            classes are joined; `a.b` is attribute `b` of attribute `a`.
+        stored_episodes: attributes with the state of the running episodes.
+        stored_buffers: attributes that are replay buffers.
     """
 
     stored: ClassVar[tuple[str, ...]] = (
@@ -77,30 +72,27 @@ class Resuming(BaseAlgorithm):
     _resumed_from = ""
     _stored_epoch = -1
     _reported_size = False
-
-    @property
-    def next_logged_frame(self) -> int:
-        """Frame under which the next epoch writes its scalars."""
-        return self.frame
+    frames_before_log = 0
+    """Number of frames after `frame` at which the next epoch writes its scalars."""
 
     # --- storing -----------------------------------------------------------------------------
 
     def train(self) -> Any:
-        """Train as rl_games, and store the state at the end."""
+        """Train, and store the state at the end."""
         result = super().train()  # type: ignore[safe-super]  # rl_games' class comes after
         self.store_training_state()
         return result
 
     def store_if_due(self) -> None:
-        """Write a training state at the end of the epochs that have a periodic checkpoint."""
+        """Write a training state in epochs with a periodic checkpoint."""
         if self.save_freq > 0 and self.epoch_num > 0 and self.epoch_num % self.save_freq == 0:
             self.store_training_state()
 
     def store_training_state(self) -> None:
-        """Write the state after this epoch, unless it is written already.
+        """Write the state after this epoch, unless it is already written.
 
-        A failure is logged, and the training continues: the former state stays. `resume=` looks for
-        the file of the main process, which is therefore written last.
+        A failure is logged; the former state stays and the training continues. The main process
+        writes last, because `resume=` looks for its file.
         """
         if self._stored_epoch == self.epoch_num:
             return
@@ -114,13 +106,13 @@ class Resuming(BaseAlgorithm):
         self._stored_epoch = self.epoch_num
 
     def _write_state(self, token: str) -> bool:
-        """Write this process' files, and return whether they are written."""
+        """Write this process' files; return whether that succeeded."""
         group, run = current_group(), Path(self.experiment_dir)
         try:
             buffers = self._read("stored_buffers") if self.config.get("save_buffers", True) else {}
             is_short = self.epoch_num < _FEW_EPOCHS and "save_buffers" not in self.config
             if is_short and num_bytes(buffers) > _LARGE_BYTES:
-                buffers = {}  # a run this short is quickly repeated
+                buffers = {}  # Repeating such a short run is cheap.
             memory = {
                 "learning_rates": self._learning_rates(),
                 "task_settings": self._task_settings(),
@@ -132,7 +124,7 @@ class Resuming(BaseAlgorithm):
             weights: Any = self.get_full_state_weights()
             state = TrainingState(weights, memory, buffers or None, group.size)
             files = write_training_state(run, state, self.epoch_num, token, group.rank)
-        except Exception as error:  # a full disk, or an attribute of a user's own task
+        except Exception as error:  # The disk may be full, or a user's task may fail.
             reason = one_line(getattr(error, "strerror", None) or error)
             message = "cannot write the training state of epoch %d below %s (%s); training goes on"
             log.warning(message, self.epoch_num, run, reason)
@@ -149,7 +141,7 @@ class Resuming(BaseAlgorithm):
         return {name: read_state(getattr(holder, attribute)) for name, holder, attribute in found}
 
     def _attributes(self, kind: str) -> Iterator[tuple[str, Any, str]]:
-        """Yield the listed name, the object and the attribute's name of all stored attributes."""
+        """Yield listed name, object and attribute name of each stored attribute."""
         listed = (name for base in type(self).__mro__ for name in base.__dict__.get(kind, ()))
         for name in dict.fromkeys(listed):
             holder: Any = self
@@ -160,17 +152,17 @@ class Resuming(BaseAlgorithm):
                 yield name, holder, attribute
 
     def _learning_rates(self) -> list[float]:
-        """Return the learning rates of the configuration, not of a schedule."""
+        """Return the learning rates of the configuration."""
         return [float(self.config[key]) for key in _RATES if key in self.config]
 
     @property
     def _task(self) -> Any:
-        """The task, if it has a state; rl_games' own environments have none."""
+        """The task if it has a state, otherwise None."""
         task = getattr(self.vec_env, "env", None)
         return task if hasattr(task, "load_state_dict") else None
 
     def _task_settings(self) -> str:
-        """Return a hash of the task's settings and of the sizes of a rollout."""
+        """Return a hash of the task's settings and the sizes of a rollout."""
         task = getattr(self.vec_env, "env", None)
         cfg = getattr(task, "cfg", None) or {}
         sim = {key: value for key, value in (cfg.get("sim") or {}).items() if key != "physx"}
@@ -179,37 +171,29 @@ class Resuming(BaseAlgorithm):
         text = json.dumps(parts, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
-    # --- going on ----------------------------------------------------------------------------
+    # --- continuing --------------------------------------------------------------------------
 
     def read_resumed(self, fn: str) -> dict[str, Any]:
-        """Return the checkpoint in a file to resume; `go_on` uses the rest.
-
-        Raises:
-            CheckpointError: the file cannot be used.
-        """
+        """Return the checkpoint in a training state; `go_on` uses the rest of the state."""
         group = current_group()
         self._to_resume = read_training_state(Path(fn), group.rank, group.size)
         self._resumed_from = fn
         return self._to_resume.checkpoint
 
     def go_on(self) -> None:
-        """Restore the state of agent and task; once, before the first epoch.
-
-        Raises:
-            CheckpointError: the state does not fit. Nothing was trained.
-        """
+        """Restore agent and task before the first epoch, or raise CheckpointError."""
         state, self._to_resume = self._to_resume, None
         if state is None:
             return
         try:
             fresh = self._write_memory(state)
-        except Exception as error:  # the state of another agent, or damaged on purpose
+        except Exception as error:  # The state may be another agent's, or damaged.
             raise CheckpointError(
                 f"resume={self._resumed_from}: the training state does not fit ({one_line(error)});"
                 f" start a new run with its networks: checkpoint={self._resumed_from}"
             ) from error
-        if self.writer is not None:  # only the main process has a writer
-            continue_log(self.writer, self.next_logged_frame)
+        if self.writer is not None:  # Only the main process has a writer.
+            continue_log(self.writer, self.frame + self.frames_before_log)
         place = (self.epoch_num, self.frame, self._resumed_from)
         log.info("resumed after epoch %d, frame %d: %s", *place)
         if fresh:
@@ -217,12 +201,12 @@ class Resuming(BaseAlgorithm):
         self._stored_epoch = self.epoch_num if state.memory is not None else -1
 
     def _write_memory(self, state: TrainingState) -> list[str]:
-        """Write all that fits, and return what starts again, and why."""
+        """Restore everything that fits; return reasons for the parts that start anew."""
         memory = state.memory
         if memory is None:
             return [
-                "a checkpoint has no training state, so that episodes, learning rate, statistics,"
-                " replay buffers and random numbers start again"
+                "a checkpoint has no training state, therefore episodes, learning rate, statistics,"
+                " replay buffers and random generators start anew"
             ]
         fresh: list[str] = []
         if memory["learning_rates"] != self._learning_rates():
@@ -233,24 +217,24 @@ class Resuming(BaseAlgorithm):
         self._rates_restored()
         if state.num_processes != current_group().size:
             fresh.append(
-                f"{state.num_processes} process(es) trained it and {current_group().size} do now,"
-                " so that episodes, replay buffers and random numbers start again"
+                f"{state.num_processes} process(es) wrote the state, {current_group().size} resume"
+                " it, therefore episodes, replay buffers and random generators start anew"
             )
             return fresh
         if self.config.get("save_buffers", True) and any(self._attributes("stored_buffers")):
             if state.buffers is None:
-                fresh.append("without their file the replay buffers start empty")
+                fresh.append("the replay buffers start empty because their file is missing")
             else:
                 self._write("stored_buffers", state.buffers)
         if self._task is None or memory["task"] is None:
-            fresh.append("the environment cannot be stored, so that episodes start again")
+            fresh.append("the environment has no state to store, therefore episodes start anew")
         elif memory["task_settings"] == self._task_settings():
             self._write("stored_episodes", memory["episodes"])
             self._task.load_state_dict(memory["task"])
         else:
             fresh.append(
-                "settings of the task, num_envs or horizon_length changed, so that episodes"
-                " start again"
+                "settings of the task, num_envs or horizon_length changed, therefore episodes start"
+                " anew"
             )
         write_generators(memory["generators"])
         return fresh
@@ -264,4 +248,4 @@ class Resuming(BaseAlgorithm):
                     setattr(holder, attribute, written)
 
     def _rates_restored(self) -> None:
-        """Give the optimisers the learning rates that were restored."""
+        """Set the optimisers to the restored learning rates."""

@@ -1,4 +1,4 @@
-"""rl_games' soft actor-critic, with checkpoints from which training can continue."""
+"""rl_games' soft actor-critic with complete checkpoints."""
 
 from __future__ import annotations
 
@@ -22,10 +22,7 @@ from isaacgymenvs_lite.utils.state import Stateful
 
 
 class _EndOfEpoch(Stateful):
-    """The observer of a training, which also checks and saves its agent after each epoch.
-
-    rl_games' loop calls nothing else there.
-    """
+    """Wraps the observer, which is all that rl_games' loop calls after each epoch."""
 
     stored = ("_observer",)
 
@@ -36,22 +33,26 @@ class _EndOfEpoch(Stateful):
         return getattr(vars(self)["_observer"], name)
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        self._agent._check_learned()
-        self._agent._has_learned = True
+        agent = self._agent
+        agent._check_learned()
+        agent._has_learned = True
         self._observer.after_print_stats(frame, epoch_num, total_time)
-        self._agent.save_before_first_episode()
-        self._agent.end_before_first_episode()
+        agent.save_before_first_episode()
+        is_last = 0 <= agent.max_epochs <= agent.epoch_num or 0 <= agent.max_frames <= agent.frame
+        if agent.game_rewards.current_size == 0 and is_last:
+            agent._save_without_reward()
+            raise _LastEpochError
 
 
 class _LastEpochError(Exception):
-    """Leaves rl_games' loop after the last epoch."""
+    """Leaves rl_games' loop after the last epoch, if no episode has ended."""
 
 
 class _EndsAtItsLimits(RLGamesSACAgent):
-    """Ends a training at its last epoch; rl_games looks at limits only after an episode's end."""
+    """Ends a training at its last epoch; rl_games checks its limits only after an episode's end."""
 
     def train(self) -> Any:
-        """Train as rl_games; return the best mean reward and the last epoch."""
+        """Train; return the best mean reward and the last epoch."""
         try:
             return super().train()
         except _LastEpochError:
@@ -59,7 +60,7 @@ class _EndsAtItsLimits(RLGamesSACAgent):
 
 
 class BFloat16HiddenLayers(nn.Sequential):
-    """Layers that compute under autocast to bfloat16 on a CPU, except the last layer.
+    """Layers that compute in bfloat16 on a CPU, except for the last layer.
 
     Parameters, their gradients and the outputs stay float32.
     """
@@ -74,50 +75,42 @@ class BFloat16HiddenLayers(nn.Sequential):
 
 
 class SACAgent(Safeguards, _EndsAtItsLimits):
-    """The agent of `algo: name: sac`: rl_games' loop, losses and replay buffer.
+    """The agent of `algo: name: sac`, with rl_games' loop, losses and replay buffer.
 
-    Its checkpoints also hold the temperature and the best reward, which rl_games' leave out: a
-    run that starts from one would start again with `init_alpha`. They do not hold the replay buffer
-    (hundreds of MB), which only `resume=` restores: from a checkpoint the policy acts until the
-    buffer holds a batch, and then learns.
+    Unlike rl_games' checkpoints these hold the temperature and the best reward. They do not hold
+    the replay buffer (hundreds of MB), which only `resume=` restores. After a start from a
+    checkpoint the policy acts until the buffer holds a batch, and then learns.
 
     Transitions of simulations that diverged are not stored; see `diverged`.
 
-    `mixed_precision` on a CPU: the hidden layers compute in bfloat16, the outputs in float32, as
-    values of some hundreds in bfloat16 differ by more than the reward of a step. rl_games' own
-    switch means CUDA autocast.
-
-    Args:
-        base_name: name for rl_games' bookkeeping.
-        params: the section `params` of a train file, prepared by the Runner.
-
-    Raises:
-        ConfigError: mixed_precision is none of True, False, "auto".
+    `mixed_precision` on a CPU computes the hidden layers in bfloat16 and the outputs in float32.
+    The rounding error of a bfloat16 value of some hundreds exceeds the reward of a step.
     """
 
     stored = ("_step", "update_counter", "_last_of_actor")
     stored_buffers = ("replay_buffer",)
+    frames_before_log = 1
 
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
         config = params["config"]
         device = torch.device(config.get("device", "cuda:0"))
         on_cpu = device.type == "cpu"
         if torch.are_deterministic_algorithms_enabled():
-            torch.set_num_threads(1)  # sums differ in the last bits by threads
+            torch.set_num_threads(1)  # The last bits of sums depend on the threads.
         bfloat16 = resolve_mixed_precision(config.get("mixed_precision", False), device)
         config["mixed_precision"] = bfloat16 and not on_cpu
         # rl_games compiles a `forward` that SAC never calls.
         config.setdefault("torch_compile", False)
-        # rl_games' other agents call it before they make their TensorBoard writer.
+        # rl_games' other agents call `before_init` before they make their TensorBoard writer.
         name = config.get("full_experiment_name") or config["name"]
         config["features"]["observer"].before_init(base_name, config, name)
-        # rl_games takes over an environment that exists in its other agents only.
+        # Only rl_games' other agents accept an existing environment.
         self.vec_env = config.get("vec_env")
         super().__init__(base_name, params)
         former = self.replay_buffer
         shapes = (former.obses.shape[1:], former.actions.shape[1:])
         size = (former.capacity, former.device)
-        del self.replay_buffer, former  # frees its memory before ours takes as much
+        del self.replay_buffer, former  # Frees the memory before the new buffer needs it.
         self.replay_buffer = KeptTransitions(*shapes, *size)
         self._meters = EpisodeMeters(self, ("game_rewards", "game_lengths"))
         self.algo_observer = _EndOfEpoch(self, self.algo_observer)
@@ -134,11 +127,11 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
 
     @property
     def curr_frames(self) -> int:
-        """Environment steps of an epoch, under the name of rl_games' other agents."""
+        """Environment steps of an epoch, under the name in rl_games' other agents."""
         return self.num_frames_per_epoch
 
     def get_full_state_weights(self) -> dict[str, Any]:
-        """Return what goes into a checkpoint."""
+        """Return the entries of a checkpoint."""
         return {
             **super().get_full_state_weights(),
             "log_alpha": self.log_alpha.detach(),
@@ -147,7 +140,7 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         }
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Load what `get_full_state_weights` returned; rl_games' files lack the temperature."""
+        """Load a checkpoint; rl_games' own files lack the temperature."""
         super().set_full_state_weights(weights, set_epoch=set_epoch)
         if "log_alpha" in weights:
             with torch.no_grad():
@@ -169,11 +162,7 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         return self._step % self.num_steps_per_episode
 
     def env_step(self, actions: Tensor) -> Any:
-        """Step the task, and check that actions, observations and rewards are finite.
-
-        Raises:
-            NotFiniteError: one is not; the message names it. The networks were not trained on it.
-        """
+        """Step the task, and check that actions, observations and rewards are finite."""
         result: Any = super().env_step(actions)
         *_, dones, infos = result
         diverged = diverged_in(infos, dones.device)
@@ -198,34 +187,20 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         )
 
     def train_epoch(self) -> Any:
-        """Train an epoch. Before it, store a state or go on from one."""
-        self.epoch_num -= 1  # rl_games has counted the epoch that starts
+        """Store a training state or continue from one, then train an epoch."""
+        self.epoch_num -= 1  # rl_games has already counted this epoch.
         self.go_on()
         self.store_if_due()
         self.epoch_num += 1
         result = super().train_epoch()
-        self.algo_observer.after_steps()  # rl_games' other agents call it
+        self.algo_observer.after_steps()  # rl_games' other agents call `after_steps` too.
         return result
 
-    @property
-    def next_logged_frame(self) -> int:
-        """Frame under which the next epoch writes its scalars: the frame at its end."""
-        return self.frame + 1
-
-    def end_before_first_episode(self) -> None:
-        """End the training at max_epochs or max_frames with a checkpoint, also without a reward."""
-        is_last = 0 <= self.max_epochs <= self.epoch_num or 0 <= self.max_frames <= self.frame
-        if self.game_rewards.current_size == 0 and is_last:
-            self._save_without_reward()
-            raise _LastEpochError
-
     def update(self, step: int) -> Any:
-        """Make a gradient step, once the replay buffer holds a batch.
+        """Take a gradient step once the replay buffer holds a batch; return values to log.
 
-        Returns:
-            actor's loss, entropy, temperature and its loss; losses of both critics. A step without
-            an update of the actor (`policy_frequency`) repeats the actor's last values: rl_games
-            returns zeros and None, which it cannot average with others.
+        Steps without an update of the actor (`policy_frequency`) repeat the actor's last values;
+        rl_games returns zeros and None, which it cannot average.
         """
         buffer = self.replay_buffer
         if not buffer.full and buffer.idx < self.batch_size:
@@ -239,7 +214,7 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
 
 
 def _played_parts(model: Any) -> Parts:
-    """Return the entries of a checkpoint that agent and player load."""
+    """Return the entries of a checkpoint that both agent and player load."""
     names = ("actor", "critic", "critic_target")
     modules: dict[str, Any] = {name: getattr(model.sac_network, name) for name in names}
     if model.normalize_input:

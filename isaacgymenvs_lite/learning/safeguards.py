@@ -1,7 +1,7 @@
-"""Base classes of all agents: they check what is restored, learned and saved.
+"""Base classes of all agents: they check restored, learned and saved networks.
 
-rl_games' own training loop loads any checkpoint unchecked, continues with networks that are nan,
-writes them over good ones, and makes no periodic checkpoint before the first episode has ended.
+rl_games' own loop loads any checkpoint unchecked, continues with nan and saves it over good
+networks. It also writes no periodic checkpoint before the first episode has ended.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from isaacgymenvs_lite.learning.resuming import Resuming
 
 log = logging.getLogger(__name__)
 
-# Rows of a rollout -> their name in messages; each may be the cause of the next.
+# Column of a rollout -> its name in messages. Broken values spread from earlier to later columns.
 _ROLLOUT = {
     "obses": "observations",
     "states": "states",
@@ -42,12 +42,12 @@ _ROLLOUT = {
     "disc_rewards": "style rewards",
 }
 _OF_TASK = ("obses", "states", "rewards", "amp_obs")
-# Statistics of episodes that processes share.
+# Shared episode statistics.
 _METERS = ("game_rewards", "game_shaped_rewards", "game_lengths")
 
 
 class Safeguards(Resuming):
-    """Checkpoints that fit and that are finite, for every agent; a base before rl_games' class."""
+    """Loads only checkpoints that fit, and saves only finite networks; precedes rl_games' class."""
 
     game_rewards: Any
     rewards_shaper: Any
@@ -68,23 +68,15 @@ class Safeguards(Resuming):
     # --- restoring -------------------------------------------------------------------------
 
     def restore(self, fn: str, set_epoch: bool = True) -> None:
-        """Continue from the checkpoint `fn`.
-
-        Raises:
-            CheckpointError: it cannot be used; the agent is unchanged then.
-        """
+        """Continue from the checkpoint `fn`, or raise CheckpointError."""
         self._restored_from = str(fn)
         read = self.read_resumed if self.config.get("resume") else load_checkpoint
         self.set_full_state_weights(read(fn), set_epoch)
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Load a checkpoint, once all of it fits; with a packed policy a new training begins.
-
-        Raises:
-            CheckpointError: it cannot be used; the agent is unchanged then.
-        """
+        """Load a checkpoint once all of it fits; a packed policy begins a new training."""
         is_policy, parts = POLICY_KEY in weights, self._parts()
-        if is_policy:  # optimisers and counts are as a new training has them
+        if is_policy:  # Optimisers and counts start anew.
             own = {
                 key: {**each.state_dict(), "state": {}} for key, each in parts.optimizers.items()
             }
@@ -96,24 +88,20 @@ class Safeguards(Resuming):
             log.info("%s: a new training begins with the networks of this policy", self._source)
 
     def check_fits(self, weights: Mapping[str, Any], source: str) -> None:
-        """Check that the agent could load a checkpoint from `source`, `checkpoint=FILE`.
-
-        Raises:
-            CheckpointError: the checkpoint does not fit.
-        """
+        """Raise CheckpointError unless a checkpoint fits; `source` is the user's argument."""
         Fitting(source).parts(weights, self._parts())
 
     def train(self) -> Any:
-        """Train as rl_games.
+        """Train with rl_games' loop.
 
         Raises:
-            ConfigError: the restored training has reached the last epoch.
-            NotFiniteError: the policy cannot sample actions: observations or networks are broken.
+            ConfigError: the restored training has already reached the last epoch.
+            NotFiniteError: observations or networks are not finite, and no actions can be sampled.
         """
         if self._restored_from and self.epoch_num >= self.max_epochs > 0:
             raise ConfigError(
                 f"{self._source}: its last epoch was {self.epoch_num}, and max_epochs is"
-                f" {self.max_epochs}; to go on give more of them: max_iterations=N, in all"
+                f" {self.max_epochs}; to continue set a larger total: max_iterations=N"
             )
         try:
             return super().train()
@@ -137,13 +125,9 @@ class Safeguards(Resuming):
     # --- saving ----------------------------------------------------------------------------
 
     def save(self, fn: str) -> None:
-        """Write a checkpoint to `<fn>.pth`, in the main process.
-
-        Raises:
-            NotFiniteError: the networks are not finite; nothing is written.
-        """
+        """Write a checkpoint to `<fn>.pth` in the main process, if the networks are finite."""
         if self.best_is_measured and os.path.basename(fn) == self.config["name"]:
-            return  # rl_games chooses the best by noisy episodes that may be old
+            return  # rl_games chooses it by training rewards, which are noisy.
         self._write_checkpoint(fn)
 
     def save_best(self) -> None:
@@ -171,34 +155,26 @@ class Safeguards(Resuming):
             self._retention.written(saved, self.epoch_num)
 
     def save_before_first_episode(self) -> None:
-        """Write the periodic checkpoint that rl_games leaves out before it has a mean reward."""
+        """Write the periodic checkpoint that rl_games omits before the first mean reward."""
         if self.save_freq > 0 and self.epoch_num % self.save_freq == 0:
             self._save_without_reward()
 
     def _save_without_reward(self) -> None:
-        """Write a checkpoint of this epoch unless a mean reward exists: rl_games writes it then."""
+        """Write this epoch's checkpoint, unless rl_games does because a mean reward exists."""
         if self.game_rewards.current_size > 0:
             return
-        # rl_games' name of the last checkpoint in this case.
+        # rl_games uses this name for the last checkpoint.
         name = f"last_{self.config['name']}_ep_{self.epoch_num}_rew_{-torch.inf}"
         self.save(os.path.join(self.nn_dir, name))
 
-    # --- numbers that are not finite -------------------------------------------------------
+    # --- values that are not finite --------------------------------------------------------
 
     def _check_learned(self) -> None:
-        """Check networks, normalisers and the moments of optimisers.
-
-        Raises:
-            NotFiniteError: one is not finite.
-        """
+        """Raise NotFiniteError unless networks, normalisers and Adam's moments are finite."""
         self._check_finite(dict(_tensors_of(self._parts())))
 
     def _check_finite(self, tensors: Mapping[str, Tensor]) -> None:
-        """Check tensors, and name up to three that are not finite.
-
-        Raises:
-            NotFiniteError: one is not finite.
-        """
+        """Raise NotFiniteError with the names of up to three tensors that are not finite."""
         if _all_finite(tensors.values()):
             return
         broken = [name for name, tensor in tensors.items() if not bool(tensor.isfinite().all())]
@@ -212,18 +188,18 @@ class Safeguards(Resuming):
         good = self._good_checkpoint
         after = f"go on from the last good checkpoint, {good}," if good else "start again"
         return self._end(
-            f"{what} in epoch {self.epoch_num}, and networks do not recover from that: {after}"
-            f" with {self._steadier_settings()}" + ("" if good else "; no checkpoint was saved yet")
+            f"{what} in epoch {self.epoch_num}, and networks do not recover: {after} with"
+            f" {self._steadier_settings()}" + ("" if good else "; no checkpoint was saved yet")
         )
 
     def _end(self, message: str) -> NotFiniteError:
-        """Return an error, and write its message to TensorBoard."""
+        """Return an error whose message also goes to TensorBoard."""
         if self.writer is not None:  # only the main process has one
             self.writer.add_text("advice", message, self.frame)
         return NotFiniteError(message)
 
     def _steadier_settings(self) -> str:
-        """Return the settings to change when networks have become nan, with current values."""
+        """Return settings that may prevent nan, with their current values."""
         rate = float(self.config["learning_rate"])
         return (
             f"train.params.config.learning_rate={rate / 2:g} (now {rate:g}),"
@@ -232,15 +208,14 @@ class Safeguards(Resuming):
 
     @property
     def _good_checkpoint(self) -> str:
-        """`checkpoint=<the newest one that was found finite>`, '' if there is none."""
+        """`checkpoint=FILE` with the newest finite checkpoint; '' if there is none."""
         file = self._last_saved or self._restored_from
         return f"checkpoint={file}" if file else ""
 
     def _check_rows(self, rows: Mapping[str, Tensor], first_step: int = 0) -> None:
-        """Check a rollout: rows (steps, N, ...) by rl_games' names, from a step of the epoch on.
+        """Raise NotFiniteError with name and place of the first value that is not finite.
 
-        Raises:
-            NotFiniteError: a value is not finite; the message has its name, place and time.
+        `rows` are rollout columns (steps, N, ...) from step `first_step` of the epoch on.
         """
         given = {
             name: rows[name].flatten(2) if rows[name].dim() > 2 else rows[name].unsqueeze(-1)
@@ -266,79 +241,52 @@ class Safeguards(Resuming):
         if name not in _OF_TASK:
             raise self._not_finite(f"{where}: the policy is not finite")
         if self._has_learned:
-            # PPO's networks are unchanged since their last check; SAC's may not be: save checks.
+            # `save` checks the networks: SAC's may have changed since their last check.
             self.save(os.path.join(self.nn_dir, f"{self.config['name']}_interrupted"))
         if name == "rewards" and self.rewards_shaper.log_val:
             raise self._end(
-                f"{where}: reward_shaper.log_val=True takes their logarithm, and they are not above"
-                " 0; raise train.params.config.reward_shaper.shift_value, or set log_val=False"
+                f"{where}: reward_shaper.log_val=True takes the logarithm of a reward that is not"
+                " positive; set it to False, or raise train.params.config.reward_shaper.shift_value"
             )
         good = self._good_checkpoint
         after = f", and go on from the last good checkpoint, {good}" if good else ""
         raise self._end(
-            f"{where}: the task returned a number that is not finite; fix its computation{after}"
+            f"{where}: the task returned a value that is not finite; fix its computation{after}"
         )
 
 
+def _of_group(name: str) -> Any:
+    """Return a property that reads the process group, whatever rl_games assigns to it."""
+    return property(lambda _: getattr(current_group(), name), lambda _, value: None)
+
+
 class DataParallel(A2CAgent):
-    """PPO of several processes, each with its own environments; of one, it is rl_games' PPO.
+    """PPO in several processes, each with its own environments; a single one is rl_games' PPO.
 
     rl_games averages gradients, KL and the decision to end over the processes, but its constructor
-    starts NCCL: the agent is made as in a single process, and joins the others before its first
-    epoch. This class adds equal parameters at the start, and frames and statistics of episodes of
-    all processes. Normalisers and advantages are in `distributed.moments`.
+    starts NCCL. The agent is therefore made as in a single process, and joins the others before
+    its first epoch. This class adds equal parameters at the start, frame counts and shared episode
+    statistics; `distributed.moments` shares normalisers and advantages.
     """
 
     has_joined = False
-    """Whether it trains together with the others."""
+    """Whether the agent already trains together with the other processes."""
     _own_meters: dict[str, Any] | None = None
 
-    # rl_games sets all three to a single process' values.
-    @property
-    def global_rank(self) -> int:
-        """Rank of this process; 0 writes logs and checkpoints."""
-        return current_group().rank
-
-    @global_rank.setter
-    def global_rank(self, rank: int) -> None: ...
-
-    @property
-    def local_rank(self) -> int:
-        """Rank of this process on its machine."""
-        return current_group().local_rank
-
-    @local_rank.setter
-    def local_rank(self, rank: int) -> None: ...
-
-    @property
-    def world_size(self) -> int:
-        """Number of processes."""
-        return current_group().size
-
-    @world_size.setter
-    def world_size(self, size: int) -> None: ...
+    global_rank = _of_group("rank")
+    local_rank = _of_group("local_rank")
+    world_size = _of_group("size")
 
     def join_others(self, tensors: list[Tensor]) -> None:
-        """Give all processes the learned tensors of the main process, once.
-
-        Raises:
-            PeerError: another process ended before.
-            ConfigError: a normaliser that cannot be shared.
-        """
+        """Copy the main process' learned tensors to all processes, once."""
         group = current_group()
         if self.has_joined or group.size == 1:
             return
-        error = None
-        if self.normalize_advantage and self.normalize_rms_advantage:
-            error = ConfigError(
-                "train.params.config.normalize_rms_advantage=True: data-parallel training has no"
-                " moving statistics of advantages; set it to False"
-            )
-        group.fail_together(error)
+        group.fail_together()
         self.has_joined = True
         group.take_from_main_(tensors)
         self.multi_gpu = True
-        # rl_games sends learning rates in float32: a resumed run has them rounded, too.
+        # rl_games sends learning rates as float32; a resumed run must round them alike.
         self.update_lr(float(self.last_lr))
         if self.has_central_value:
             self.central_value_net.multi_gpu = True
@@ -346,14 +294,14 @@ class DataParallel(A2CAgent):
             self.central_value_net.update_lr(self.central_value_net.lr)
 
     def train(self) -> Any:
-        """Train as rl_games."""
+        """Train, and count the frames of the last epoch."""
         result = super().train()
         if self.has_joined:
-            self.count_frames()  # of the last epoch
+            self.count_frames()
         return result
 
     def count_frames(self) -> None:
-        """Count the frames of an epoch, which rl_games does in the main process alone."""
+        """Count an epoch's frames where rl_games does not: in all but the main process."""
         group = current_group()
         if not group.is_main:
             self.frame += self.curr_frames * group.size
@@ -361,16 +309,13 @@ class DataParallel(A2CAgent):
     # --- statistics of episodes ------------------------------------------------------------
 
     def take_own_meters(self) -> None:
-        """Take back the meters that this process updates, which `share_meters` has replaced."""
+        """Undo `share_meters`."""
         own, self._own_meters = self._own_meters, None
         for name, meter in (own or {}).items():
             setattr(self, name, meter)
 
     def share_meters(self) -> None:
-        """Replace the meters of finished episodes by all processes' meters, for one epoch's log.
-
-        Their means are weighted by the numbers of episodes that the processes' meters hold.
-        """
+        """Replace the episode meters by the mean over all processes, for one epoch's log."""
         group = current_group()
         if group.size == 1:
             return
@@ -380,8 +325,8 @@ class DataParallel(A2CAgent):
             total = sum(group.gather(own.current_size))
             shared.mean = group.sum_(own.mean * own.current_size) / max(total, 1)
             if name != "game_lengths":
-                # rl_games makes it (values,) and updates it to (1, values), which its log expects;
-                # this process may have had no episode yet.
+                # rl_games' log expects the shape (1, values), which the first update sets; this
+                # process may have had no episode yet.
                 shared.mean = shared.mean.view(1, -1)
             shared.current_size = min(total, own.max_size)
             setattr(self, name, shared)
@@ -390,8 +335,7 @@ class DataParallel(A2CAgent):
 class PPOSafeguards(Safeguards, DataParallel):
     """rl_games' PPO with these checks; the base of PPOAgent and CommonAgent.
 
-    The rollout is checked before the update, losses and networks before rl_games reports them and
-    saves.
+    The rollout is checked before the update, and losses and networks before they are saved.
     """
 
     stored = (
@@ -410,17 +354,15 @@ class PPOSafeguards(Safeguards, DataParallel):
     def _parts(self) -> Parts:
         modules: dict[str, Any] = {"model": self.model}
         optimizers: dict[str, Any] = {"optimizer": self.optimizer}
-        optional = {"assymetric_vf_optimizer", "advantage_mean_std", "scaler"}
+        optional = frozenset(("assymetric_vf_optimizer", "scaler"))
         if self.has_central_value:
             modules["assymetric_vf_nets"] = self.central_value_net
             optimizers["assymetric_vf_optimizer"] = self.central_value_net.optimizer
-        if self.normalize_advantage and self.normalize_rms_advantage:
-            modules["advantage_mean_std"] = self.advantage_mean_std
         scalers = {"scaler": self.scaler} if self.mixed_precision else {}
-        return Parts(modules, optimizers, others=scalers, optional=frozenset(optional), counts=True)
+        return Parts(modules, optimizers, others=scalers, optional=optional, counts=True)
 
     def update_epoch(self) -> int:
-        """Count the epoch; rl_games calls this before each. Store, or go on from, a state."""
+        """Count the epoch that starts; before it, store a training state or continue from one."""
         self.take_own_meters()
         if self.has_joined:
             self.count_frames()
@@ -431,7 +373,7 @@ class PPOSafeguards(Safeguards, DataParallel):
         return epoch_num
 
     def store_training_state(self) -> None:
-        """Write the state after this epoch; see `Resuming`."""
+        """Write the state after this epoch."""
         self.take_own_meters()
         super().store_training_state()
 
@@ -441,63 +383,33 @@ class PPOSafeguards(Safeguards, DataParallel):
             self.central_value_net.update_lr(self.central_value_net.lr)
 
     def _check_batch_size(self) -> None:
-        """Check that an epoch has a standard deviation, by which advantages are divided.
-
-        Raises:
-            ConfigError: it has one sample.
-        """
+        """Raise ConfigError if an epoch has one sample: advantages need a standard deviation."""
         if self.batch_size < 2:
             raise ConfigError(
-                "one environment with horizon_length 1 gives one sample per epoch, whose spread is"
-                " undefined; expected at least two: raise num_envs or horizon_length"
+                "one environment with horizon_length 1 gives one sample per epoch, which has no"
+                " standard deviation; raise num_envs or horizon_length"
             )
 
     def _enough_rows(self, num_rows: int) -> int:
-        """Return how many rows of a rollout are left without diverged simulations.
-
-        Raises:
-            NotFiniteError: fewer than two, whose spread is undefined.
-        """
+        """Return `num_rows`, the rows without diverged simulations, if there are at least two."""
         if num_rows < 2:
             raise self._end(
-                f"the simulations diverged in all steps of epoch {self.epoch_num}: nothing is left"
-                " to learn from; look at a file of <run>/diverged/ with python -m"
+                f"the simulations diverged in all steps of epoch {self.epoch_num}: no transitions"
+                " are left; look at a file of <run>/diverged/ with python -m"
                 " isaacgymenvs_lite.simulation.replay, and make task.sim.dt smaller or the"
                 " actuators weaker"
             )
         return num_rows
 
     def restore_central_value_function(self, fn: str) -> None:
-        """Load the asymmetric critic alone from the checkpoint `fn`.
-
-        Raises:
-            CheckpointError: it cannot be used; the agent is unchanged then.
-        """
+        """Load only the asymmetric critic from the checkpoint `fn`."""
         key = "assymetric_vf_nets"
         parts = Parts({key: self.central_value_net})
         fitted = Fitting(f"checkpoint={fn}").parts(load_checkpoint(fn), parts)
         self.set_central_value_function_weights(fitted)
 
-    def get_stats_weights(self, model_stats: bool = False) -> dict[str, Any]:
-        """Return normaliser statistics, also of advantages, which rl_games reads but not writes."""
-        state: dict[str, Any] = super().get_stats_weights(model_stats)
-        if self.normalize_advantage and self.normalize_rms_advantage:
-            state["advantage_mean_std"] = self.advantage_mean_std.state_dict()
-        return state
-
-    def set_stats_weights(self, weights: dict[str, Any]) -> None:
-        """Load normaliser statistics; a checkpoint of rl_games has none of advantages."""
-        if self.normalize_advantage and self.normalize_rms_advantage:
-            own = {"advantage_mean_std": self.advantage_mean_std.state_dict()}
-            weights = {**own, **weights}
-        super().set_stats_weights(weights)
-
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
-        """Make the training set of a rollout, once the rollout is found finite.
-
-        Raises:
-            NotFiniteError: it is not; the message has place and time.
-        """
+        """Fill the dataset once the rollout is found finite."""
         self._check_rows(self.experience_buffer.tensor_dict)
         obs: Any = self.obs
         newest = {"obses": obs.get("obs"), "states": obs.get("states")}
@@ -510,11 +422,7 @@ class PPOSafeguards(Safeguards, DataParallel):
         super().prepare_dataset(batch_dict)
 
     def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:
-        """Write rl_games' scalars of an epoch whose losses and networks are finite.
-
-        Raises:
-            NotFiniteError: they are not; rl_games has not saved them.
-        """
+        """Write rl_games' scalars once losses and networks are found finite."""
         (_step_time, _play_time, _update_time, a_losses, c_losses, entropies, *_rest) = args
         losses = {"a_loss": a_losses, "c_loss": c_losses, "entropy": entropies}
         self._check_finite({name: torch.stack(each) for name, each in losses.items() if each})
@@ -525,11 +433,7 @@ class PPOSafeguards(Safeguards, DataParallel):
 
 
 def leave_out_nccl(config: dict[str, Any]) -> None:
-    """Keep rl_games' constructor from starting NCCL, in place; the agent joins the others later.
-
-    Raises:
-        ConfigError: there are no others.
-    """
+    """Keep rl_games' constructor from starting NCCL, by a change of `config` in place."""
     if config.get("multi_gpu") and current_group().size == 1:
         raise ConfigError(
             "train.params.config.multi_gpu=True: this program trains in one process; start it with"
@@ -540,7 +444,7 @@ def leave_out_nccl(config: dict[str, Any]) -> None:
 
 
 def _tensors_of(parts: Parts) -> Iterator[tuple[str, Tensor]]:
-    """Yield all learned tensors, with their names in a checkpoint."""
+    """Yield all learned tensors with their names in a checkpoint."""
     yield from parts.tensors.items()
     for key, module in parts.modules.items():
         for name, tensor in chain(module.named_parameters(), module.named_buffers()):
@@ -555,10 +459,7 @@ def _tensors_of(parts: Parts) -> Iterator[tuple[str, Tensor]]:
 
 @torch.no_grad()
 def _all_finite(tensors: Iterable[Tensor]) -> bool:
-    """Return whether all numbers are finite; costs one sum each and one synchronisation.
-
-    A sum out of range also returns False.
-    """
+    """Return whether all sums are finite; finite values whose sum overflows also return False."""
     sums = [tensor.sum(dtype=torch.float32) for tensor in tensors]
     if not sums:
         return True

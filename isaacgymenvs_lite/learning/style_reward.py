@@ -1,11 +1,11 @@
-"""AMP's style reward for agents of other libraries: reward the rollout, then learn from it.
+"""AMP's style reward for agents of other libraries.
 
     style = StyleReward(task, read_style_params())
     rewards = style.total(rewards, infos["amp_obs"])    # in each step
     style.update()                                      # after each rollout
 
-The discriminator is trained as the AMP agent's, with a network and an optimiser of its own. Its
-gradient penalty is constant, `disc_grad_penalty`: only an agent has the length of its episodes.
+The discriminator is trained as in the AMP agent, with a network and an optimiser of its own, and
+with the constant gradient penalty `disc_grad_penalty`.
 """
 
 from __future__ import annotations
@@ -34,15 +34,7 @@ _LEARNING_RATE = 5e-5
 
 
 def read_style_params(train_file: str = "HumanoidAMPPPO", **changes: Any) -> AMPParams:
-    """Return the AMP keys of a train file.
-
-    Args:
-        train_file: path or name.
-        changes: keys to set otherwise, `task_reward_w=0.5`.
-
-    Raises:
-        ConfigError: there is no such file, or a key that cannot be used.
-    """
+    """Return the AMP keys of a train file (its name or path), with `changes` of their values."""
     config = read_train_file(train_file)["params"]["config"]
     return read_agent_params({**config, **changes}, AMPParams)
 
@@ -50,18 +42,14 @@ def read_style_params(train_file: str = "HumanoidAMPPPO", **changes: Any) -> AMP
 class StyleReward(StyleLosses):
     """Rewards motion that looks like a task's clips; see the module docstring.
 
-    Args:
-        task: with reference motions, HumanoidAMP for example.
-        params: weights, kinds of loss and reward, sizes of buffers.
-        units: of the discriminator's hidden layers.
-        device: where it learns.
+    `units` are sizes of the discriminator's hidden layers.
 
     Attributes:
-        discriminator: its normaliser and reward.
-        network: the layers; with the normaliser all there is to save.
+        discriminator: the discriminator's normaliser and reward.
+        network: the discriminator's layers; save them together with the normaliser.
 
     Raises:
-        ConfigError: a task without reference motions.
+        ConfigError: the task has no reference motions.
     """
 
     def __init__(
@@ -84,11 +72,9 @@ class StyleReward(StyleLosses):
         self._rollout: list[Tensor] = []
 
     def total(self, task_rewards: Tensor, amp_obs: Tensor) -> Tensor:
-        """Return task_reward_w * task + disc_reward_w * style (N,), and keep the motion to learn.
+        """Return total rewards (N,) for task rewards (N,) and AMP observations (N, F) of a step.
 
-        Args:
-            task_rewards: (N,).
-            amp_obs: (N, F), `infos["amp_obs"]` of the same step.
+        They are task_reward_w * task + disc_reward_w * style; `update` learns from the motion.
         """
         amp_obs = self.discriminator.truncate(amp_obs)
         self._rollout.append(amp_obs)
@@ -96,11 +82,7 @@ class StyleReward(StyleLosses):
         return self._params.task_reward_w * task_rewards + self._params.disc_reward_w * style
 
     def update(self, epochs: int = 1) -> dict[str, float]:
-        """Train the discriminator on the motion since the last update, `epochs` times.
-
-        Returns:
-            Means of what `_disc_loss` returns; nothing if nothing was rewarded.
-        """
+        """Train the discriminator on the motion since the last update; return means to log."""
         if not self._rollout:
             return {}
         fakes = torch.cat(self._rollout)
@@ -110,14 +92,17 @@ class StyleReward(StyleLosses):
         size = min(self._params.amp_minibatch_size, len(fakes))
         for _ in range(epochs):
             order = torch.randperm(len(fakes), device=fakes.device)
-            # Rows that fill no minibatch wait for another order.
+            # Rows after the last whole minibatch are left out; the next epoch has another order.
             for rows in order[: len(fakes) // size * size].split(size):
                 infos.append(self._learn(fakes[rows]))
         self._replay.store_some({"amp_obs": fakes}, self._params.amp_replay_keep_prob)
-        return {name: _mean([info[name] for info in infos]) for name in infos[0]}
+        return {
+            name: float(torch.stack([info[name].mean() for info in infos]).mean())
+            for name in infos[0]
+        }
 
     def _learn(self, fakes: Tensor) -> dict[str, Tensor]:
-        """Make a gradient step with fakes (n, F), as many replayed ones and demonstrations."""
+        """Take a gradient step on fakes (n, F), n replayed rows and n demonstrations."""
         has_older = self._replay.get_total_count() > 0
         replayed = self._replay.sample(len(fakes))["amp_obs"] if has_older else fakes
         kinds = (fakes, replayed, self._demos.sample(len(fakes))["amp_obs"])
@@ -132,7 +117,7 @@ class StyleReward(StyleLosses):
         self._optimizer.zero_grad()
         info["disc_loss"].backward()
         self._optimizer.step()
-        # After the step: a first minibatch is normalised as it was when it was rewarded.
+        # The first minibatch is normalised as its reward was; the statistics change afterwards.
         if self.discriminator.normalizer is not None:
             self.discriminator.normalizer.count_in(torch.cat(kinds))
         return {name: value.detach() for name, value in info.items()}
@@ -146,7 +131,3 @@ class StyleReward(StyleLosses):
     def _store_demos(self) -> None:
         demos = self._task.fetch_amp_obs_demo(self._params.amp_batch_size)
         self._demos.store({"amp_obs": self.discriminator.truncate(demos)})
-
-
-def _mean(values: Sequence[Tensor]) -> float:
-    return float(torch.stack([value.mean() for value in values]).mean())

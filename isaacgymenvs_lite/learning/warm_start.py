@@ -1,9 +1,8 @@
 """A warm start: before the first epoch the mean action learns to follow the reference motions.
 
-A new policy acts at random, and spends its first millions of frames on what can be computed: drives
-follow a clip if their targets lead it. The actor learns these actions in some seconds by regression
-(behaviour cloning), from states of the clips with noise on them. It does not keep its balance yet;
-that is what the training is for.
+An untrained policy spends its first millions of frames on learning the drive targets that follow a
+clip, which can be computed. Behaviour cloning teaches them to the actor in some seconds, from noisy
+states of the clips. The policy does not keep its balance yet; the training teaches that.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from isaacgymenvs_lite.env_interface import TrackingDemo
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 
 NUM_SAMPLES = 20_000
-"""States of the clips that are learned from."""
+"""Number of states of the clips for the regression."""
 _ROWS = 256
 _FIRST_RATE, _LAST_RATE = 1e-3, 1e-5
 _LEAST_STD = 0.1
@@ -32,22 +31,15 @@ def clone_actions(
     noise: float,
     latents: Tensor | None = None,
 ) -> float:
-    """Teach the actor the actions of a demonstration; return the root mean squared error.
+    """Train the actor on the actions of a demonstration; return the root mean squared error.
 
-    The critic and a noise that is learned stay as they are.
-
-    Args:
-        model: rl_games' model, with an actor that shares no layers.
-        normalizer: of its observations, which counts the noisy observations in; None without one.
-        demo: on the model's device; `obs` as the model receives them.
-        num_steps: of gradient descent.
-        noise: standard deviation of the noise on observations, as a share of theirs.
-        latents: (n, Z) of the demonstration, for an actor that receives them.
+    Actor and critic must share no layers; critic and learned standard deviations do not change. The
+    normaliser counts the noisy observations, whose noise is a share of their standard deviation.
     """
     std = noise * demo.obs.std(dim=0)
     if normalizer is not None:
         normalizer.count_in(demo.obs + std * torch.randn_like(demo.obs))
-        # Entries that hardly differ in the clips would all be at the limit when a robot falls.
+        # Otherwise nearly constant inputs would be clipped as soon as a robot falls.
         normalizer.running_var.clamp_(min=_LEAST_STD**2)
     network = model.a2c_network
     model.eval()
@@ -67,12 +59,9 @@ def clone_actions(
 def descend(
     loss: Callable[[], Tensor], parameters: Iterable[nn.Parameter], num_steps: int
 ) -> float:
-    """Take steps of Adam, whose size falls linearly; return the last step's loss.
+    """Take steps of Adam with a linearly falling rate; return the last step's loss.
 
-    Args:
-        loss: returns the loss of a batch of its own choice.
-        parameters: learn; the gradients of all others stay as they are.
-        num_steps: at least 1.
+    `loss` draws a new batch in each call; gradients of other parameters are not touched.
     """
     learned = list(parameters)
     adam = torch.optim.Adam(learned, lr=_FIRST_RATE, fused=True)
@@ -90,6 +79,6 @@ def descend(
 
 
 def actor_parameters(network: Any) -> list[nn.Parameter]:
-    """Return the parameters of the mean action, in the order of `parameters()`."""
+    """Return the mean action's parameters, in the order of `parameters()`."""
     layers = (network.actor_mlp, network.mu)
     return [parameter for layer in layers for parameter in layer.parameters()]

@@ -373,7 +373,7 @@ def test_a_player_acts_as_the_agent_under_each_kind_of_latent(make, make_runner,
 @pytest.mark.parametrize(
     ("array", "words"),
     [
-        (np.ones((3, 5)), r"shape \(3, 5\); the policy's latents have 6 numbers"),
+        (np.ones((3, 5)), r"shape \(3, 5\), expected \(K, 6\)"),
         (np.ones((0, 6)), r"shape \(0, 6\)"),
         (np.zeros((2, 6)), "a row is zero"),
         (np.full((2, 6), np.nan), "not finite"),

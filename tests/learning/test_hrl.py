@@ -211,7 +211,7 @@ def test_the_task_s_features_are_cut_off(llc, make_agent, monkeypatch):
     # The last five numbers of the character's are said to be a goal.
     monkeypatch.setattr(Task, "observation_groups", Task.character_observation_groups)
     monkeypatch.setattr(Task, "get_task_obs_size", lambda self: 5)
-    with pytest.raises(CheckpointError, match="was trained with 111 numbers of observation"):
+    with pytest.raises(CheckpointError, match="expects 111 dimensions of observation"):
         make_agent(*overrides(llc))
 
 

@@ -136,15 +136,18 @@ WRONG: dict[str, tuple[Change, str]] = {
     "integers": (of_moments("exp_avg_sq", lambda t: t.long()), "int64, expected .* float32"),
     "transposed": (of_moments("exp_avg", lambda t: torch.zeros(t.shape[::-1])), "expected .*x"),
     "text": (of_moments("exp_avg", lambda _: "x"), "exp_avg is a str, expected"),
-    "steps": (of_moments("step", lambda _: torch.zeros(7)), "step is 7 float32, expected one"),
-    "negative steps": (of_moments("step", lambda _: -1.0), "step holds numbers below 0"),
-    "nan": (of_moments("exp_avg", lambda t: t * math.nan), "exp_avg holds .* not finite"),
-    "below 0": (of_moments("exp_avg_sq", lambda t: t - 1.0), "exp_avg_sq holds numbers below 0"),
+    "steps": (
+        of_moments("step", lambda _: torch.zeros(7)),
+        "step is 7 float32, expected one",
+    ),
+    "negative steps": (of_moments("step", lambda _: -1.0), "step has values below 0"),
+    "nan": (of_moments("exp_avg", lambda t: t * math.nan), "exp_avg has .* not finite"),
+    "below 0": (of_moments("exp_avg_sq", lambda t: t - 1.0), "exp_avg_sq has values below 0"),
     "another number": (renumbered, "optimizer is no state of this optimiser"),
     "no groups": (without_group, "0 groups of parameters, expected|no state of this optimiser"),
     "weight": (of_networks(lambda t: t[:1]), "weight is .* expected .* another network"),
     "half": (of_networks(lambda t: t.half()), "float16, expected .* float32"),
-    "broken": (of_networks(lambda t: t.fill_(math.inf)), "weight holds .* not finite"),
+    "broken": (of_networks(lambda t: t.fill_(math.inf)), "weight has .* not finite"),
     "list": (of_networks(lambda t: t.tolist()), "weight is a list, expected a tensor"),
     "epoch": (entry("epoch", -3), "epoch is -3, expected a number"),
     "frame": (entry("frame", None), "frame is None, expected a number"),
@@ -337,7 +340,7 @@ def test_so_does_a_low_level_controller(llc, make_agent, tmp_path):  # noqa: F81
     given = (*llc[:2], wrong)
     for key, name, value, words in (
         ("model", "a2c_network.actor_mlp._dense_layers.0.bias", torch.zeros(1), "is 1 float32"),
-        ("model", "a2c_network.mu.bias", torch.tensor(1.0), "0 numbers of actions"),
+        ("model", "a2c_network.mu.bias", torch.tensor(1.0), "expects 0 dimensions of actions"),
         ("amp_input_mean_std", "running_var", torch.zeros(2).double(), "is 2 float64"),
         ("model", "a2c_network.mu.bias", torch.full((28,), math.nan), "not finite"),
     ):

@@ -176,10 +176,14 @@ def of_another_state(run: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "words", "line"),
     [
-        (without_buffers, (), "without their file the replay buffers start empty"),
-        (of_another_state, (), "without their file the replay buffers start empty"),
-        (without_state, (), "a checkpoint has no training state, so that episodes, learning rate"),
-        (None, ("num_envs=8",), "or horizon_length changed, so that episodes"),
+        (without_buffers, (), "the replay buffers start empty because their file is missing"),
+        (of_another_state, (), "the replay buffers start empty because their file is missing"),
+        (
+            without_state,
+            (),
+            "a checkpoint has no training state, therefore episodes",
+        ),
+        (None, ("num_envs=8",), "or horizon_length changed, therefore episodes"),
         (None, (f"{CONFIG}.learning_rate=1e-5",), "learning rates start at the new setting"),
     ],
 )
@@ -313,7 +317,7 @@ def test_a_checkpoint_after_the_last_epoch(stopped, tmp_path):
         (["resume=last", "--multirun"], "only settings can be given"),
         (
             ["resume=last", "max_iterations=2"],
-            "resume=.*: its last epoch was 2, and max_epochs is 2; to go on give more",
+            "resume=.*: its last epoch was 2, and max_epochs is 2; to continue set",
         ),
         (["resume=last", "test=True"], "to play a policy give checkpoint="),
         (

@@ -56,7 +56,7 @@ def test_the_actor_rests_until_the_others_know_something(make_agent, caplog):
 
     agent.train_epoch = watched
     agent.train()
-    assert "warm start: follows the clips' actions" in caplog.text
+    assert "warm start: action error" in caplog.text
     assert not torch.equal(seen[0][0], drawn)
     for epoch, learns in enumerate((False, False, True)):
         (actor_before, critic_before), (actor_after, critic_after) = seen[2 * epoch : 2 * epoch + 2]
@@ -110,7 +110,7 @@ def test_skills_are_taught_under_the_latents_of_the_clips(make_agent, caplog):
     assert agreements(pairs)[1] > 0.8  # a new encoder sees the same latent everywhere
     agent.init_tensors()
     agent.env_reset()
-    assert "warm start: follows the clips' actions" in caplog.text
+    assert "warm start: action error" in caplog.text
     assert torch.equal(values(others), before)
     of_near, of_others = agreements(pairs)
     assert of_others < 0.7

@@ -200,7 +200,7 @@ def _impossible_settings(checkpoint: dict, record: dict) -> None:
     ("damage", "expected"),
     [
         (_runs_code, "policy 0 is left out of the comparison (checkpoint=.*/000001.pth: refused"),
-        (_not_finite, "policy 0 is left out .*a2c_network.mu.weight holds numbers that are not"),
+        (_not_finite, "policy 0 is left out .*a2c_network.mu.weight has values that are not"),
         (_of_other_shapes, "policy 0 is left out .*a2c_network.mu.weight is 2x3 float32, expected"),
         (_impossible_settings, "policy 1 does not go on as policy 0 .*learning_rate"),
     ],

@@ -1,13 +1,12 @@
 """Evaluates networks in a chosen precision and, on CPUs, one slice of the rows per thread.
 
-torch's own threads split every operation of a network and meet after each, some hundred times in
-a gradient step. Here each thread takes a slice of the rows through the whole network and, in the
-agents of this project, through the losses too, forwards and backwards. On two cores a gradient
-step of AMP takes half as long (docs/speed.md), and no idle OpenMP threads spin on the CPUs that the
-physics needs.
+torch's own threads split every operation and synchronise after it, some hundred times in a gradient
+step. Here each thread takes a slice of the rows forwards and backwards through the whole network
+and, in this project's agents, through the losses too. On two cores a gradient step of AMP takes
+half as long (docs/speed.md), and no idle OpenMP threads take CPU time from the physics.
 
-With `torch_deterministic=True` the slices depend on the number of rows alone, so that any number of
-threads gives the same bits.
+With `torch_deterministic=True` the slices depend only on the number of rows, and results do not
+depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -26,43 +25,30 @@ from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normaliz
 from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
-# Fewer rows than this are not worth another thread.
+# Least number of rows of a slice.
 _MIN_ROWS = 128
-# What another slice costs, as products of rows and parameters. The interpreter's lock lets the
-# slices' many small operations run one after the other only: s slices take a / s + b * s, which is
-# least for the square root of a / b.
+# Cost of another slice, as products of rows and parameters. The interpreter's lock serialises the
+# slices' small operations. s slices take a / s + b * s, which is least for s = sqrt(a / b).
 _PRODUCTS_OF_A_SLICE = 300_000_000
-# Slices under `torch_deterministic=True`: rows of each, and how many at most. Smaller ones cost
-# more (each casts the weights and has gradients of its own), larger ones leave threads idle.
+# Slices under `torch_deterministic=True`: their rows and greatest number. Smaller slices cost more
+# (each casts the weights and has gradients of its own), larger ones leave threads idle.
 _FIXED_ROWS = 1024
 _MOST_FIXED_SLICES = 16
-# Rows that are evaluated at once without gradients: their activations fit into the cache.
+# Number of rows that are evaluated at once without gradients; their activations fit into the cache.
 _CHUNK_ROWS = 8192
 # Layers whose rows depend on each other, or that draw random numbers.
 _UNSLICED_LAYERS = (nn.RNNBase, nn.Dropout, nn.modules.batchnorm._BatchNorm)
-# Where a module keeps its parameters, buffers and layers.
+# Attributes of a module for its parameters, buffers and layers.
 _MODULE_STATE = ("_parameters", "_buffers", "_modules", "_non_persistent_buffers_set")
 
 RowFunction = Callable[..., Any]
-"""Tensors of n rows -> a tensor of n rows or a tuple of them; rows are independent."""
+"""Tensors of n rows -> a tensor of n rows or a tuple of such tensors; rows are independent."""
 LossFunction = Callable[[dict[str, Tensor]], tuple[Tensor, dict[str, Tensor]]]
-"""{name: rows} -> a loss, the mean over these rows, and values: such means, or tensors of rows."""
+"""{name: rows} -> a mean loss, and values: means over the rows, or tensors of rows."""
 
 
 def parallelize(model: Any, device: str | torch.device, mixed_precision: Any) -> NetworkExecutor:
-    """Put a `ParallelNetwork` with at most as many threads as torch has into an rl_games model.
-
-    Args:
-        model: its `a2c_network` is replaced.
-        device: where the model is.
-        mixed_precision: the key `train.params.config.mixed_precision`.
-
-    Returns:
-        The executor, which evaluates the network.
-
-    Raises:
-        ConfigError: mixed_precision is none of True, False, "auto".
-    """
+    """Replace `a2c_network` of an rl_games model by a `ParallelNetwork`; return its executor."""
     bfloat16 = resolve_mixed_precision(mixed_precision, device)
     parameters = sum(parameter.numel() for parameter in model.a2c_network.parameters())
     network = ParallelNetwork(
@@ -73,13 +59,9 @@ def parallelize(model: Any, device: str | torch.device, mixed_precision: Any) ->
 
 
 def take_models(agent: Any, device: str | torch.device, precision: Any) -> NetworkExecutor:
-    """Give the models of an agent, its policy's and its critic's, fast normalisers and networks.
+    """Give an agent's policy and critic fast normalisers and networks, and set `value_mean_std`.
 
-    Sets `value_mean_std`, which normalises the values of the critic that counts. `precision` is the
-    key `train.params.config.mixed_precision`. The result evaluates the policy's network.
-
-    Raises:
-        ConfigError: mixed_precision is none of True, False, "auto".
+    Returns the executor of the policy's network.
     """
     models = [agent.model]
     if agent.has_central_value:
@@ -94,20 +76,14 @@ def take_models(agent: Any, device: str | torch.device, precision: Any) -> Netwo
 
 
 class ParallelNetwork(nn.Module):
-    """An rl_games network that several threads compute, each of them a slice of the rows.
+    """Replaces an rl_games network; several threads compute a slice of the rows each.
 
-    It takes the network's place in a model. Calls (a dictionary of rows in, a tuple of rows and
-    the recurrent state out) and the methods that the network lists in `row_functions` are computed
-    in slices; all other attributes are the network's own. Parameters, buffers and layers are
-    shared under the same names, so that checkpoints do not change.
+    Several threads compute the network's calls (a dictionary of rows in; a tuple of rows and the
+    recurrent state out) and its methods in `row_functions`. All other attributes are the network's
+    own. Parameters, buffers and layers keep their names in checkpoints.
 
-    Args:
-        network: evaluated in slices, unless it has layers that mix rows (`_UNSLICED_LAYERS`).
-        device, bfloat16, num_threads, row_products: see `NetworkExecutor`.
-
-    Attributes:
-        serial: the network itself, computed by the calling thread in the parameters' precision.
-        executor: evaluates it; agents differentiate their whole loss with it.
+    `serial` is the network itself, which the calling thread computes in the parameters' precision.
+    It is not sliced if its layers mix rows (`_UNSLICED_LAYERS`).
     """
 
     serial: nn.Module
@@ -124,7 +100,7 @@ class ParallelNetwork(nn.Module):
         super().__init__()
         layers = list(network.modules())
         can_slice = not any(isinstance(layer, _UNSLICED_LAYERS) for layer in layers)
-        del vars(self)["training"]  # it is the network's
+        del vars(self)["training"]  # `training` is the network's.
         vars(self).update(
             {name: vars(network)[name] for name in _MODULE_STATE},
             serial=network,
@@ -133,7 +109,7 @@ class ParallelNetwork(nn.Module):
         )
 
     def forward(self, inputs: dict[str, Any]) -> tuple[Any, ...]:
-        """Return what the network returns; tensors with as many rows as `obs` are sliced."""
+        """Return the network's outputs; tensors with as many rows as `obs` are sliced."""
         if self._is_recurrent or not isinstance(inputs["obs"], Tensor):
             return self.executor.evaluate(self.serial, inputs)
         sliced: dict[str, Tensor] = {}
@@ -148,7 +124,7 @@ class ParallelNetwork(nn.Module):
         return (*self.executor.run(self, function, *sliced.values()), None)
 
     def __getattr__(self, name: str) -> Any:
-        # The second: while it is copied.
+        # `serial` is missing while the module is copied.
         if name.startswith("__") or "serial" not in vars(self):
             raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
         value = getattr(self.serial, name)
@@ -169,29 +145,29 @@ class ParallelNetwork(nn.Module):
         setattr(self.serial, name, value)
 
     def train(self, mode: bool = True) -> ParallelNetwork:
-        """Set the network's mode; `training` is the network's own."""
+        """Set the network's mode."""
         self.serial.train(mode)
         return self
 
 
 def serial_network(network: nn.Module) -> Any:
-    """Return a network that other runtimes can trace: without threads and autocast."""
+    """Return a network without threads and autocast, which other runtimes can trace."""
     return network.serial if isinstance(network, ParallelNetwork) else network
 
 
 class NetworkExecutor:
-    """Evaluates functions of rows in a chosen precision, on a CPU by slices on several threads.
+    """Evaluates functions of rows in a chosen precision; on a CPU, threads evaluate slices.
 
-    Results do not depend on which thread is the faster one. A different number of threads changes
-    the sums of gradients in the last bits, unless torch uses deterministic algorithms only.
+    The number of threads changes sums of gradients in the last bits, unless torch uses
+    deterministic algorithms only.
 
     Args:
-        device: where the networks are. Off the CPU nothing is sliced.
-        bfloat16: compute under autocast to bfloat16; results are float32 in any case.
-        num_threads: on a CPU, at most; at least 1.
+        device: device of the networks; only rows on the CPU are sliced.
+        bfloat16: compute under autocast to bfloat16; results are always float32.
+        num_threads: greatest number of threads.
         can_slice: whether rows are independent of each other in all functions.
-        row_products: products of a row, about as many as the networks have parameters; None: so
-            many that every thread is worth it.
+        row_products: number of products per row, about the number of parameters; None uses all
+            threads.
     """
 
     def __init__(
@@ -211,17 +187,14 @@ class NetworkExecutor:
         self._within = threading.local()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy has threads of its own, and a file none."""
+        """Copy without the threads."""
         settings = (self.bfloat16, self.num_threads, self._can_slice, self._row_products)
         return NetworkExecutor, (self._device_type, *settings)
 
     def run(self, module: nn.Module, function: RowFunction, *rows: Tensor) -> Any:
-        """Return `function(*rows)` in float32, differentiable (once) by parameters and rows.
+        """Return `function(*rows)` in float32, differentiable once by parameters and rows.
 
-        Args:
-            module: whose parameters `function` uses.
-            function: several threads call it at the same time.
-            rows: (n, ...) each.
+        Several threads call `function`, which uses the parameters of `module`.
         """
         slices = self._num_slices(len(rows[0]))
         if slices == 1 or getattr(self._within, "slice", False):
@@ -244,7 +217,7 @@ class NetworkExecutor:
         return outputs if several else outputs[0]
 
     def evaluate(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return `function(*arguments)`, all tensors in float32, on the calling thread."""
+        """Return `function(*arguments)` in float32, computed by the calling thread."""
         with torch.autocast(self._device_type, torch.bfloat16, enabled=self.bfloat16):
             outputs = function(*arguments)
         return _as_float32(outputs)
@@ -252,21 +225,15 @@ class NetworkExecutor:
     def gradients(
         self, function: LossFunction, rows: dict[str, Tensor], parameters: list[nn.Parameter]
     ) -> tuple[list[Tensor | None], dict[str, Tensor]]:
-        """Differentiate a loss that is a mean over rows, from its rows to its gradients by slices.
+        """Differentiate a mean loss over rows, with forward and backward pass by slices.
 
-        The threads meet once. A loss of the outputs of `run` makes them meet after each network,
-        and one thread computes that loss.
-
-        Args:
-            function: several threads call it at the same time.
-            rows: {name: (n, ...)}. Numbers of rows may differ between names; each slice has the
-                same share of all of them.
-            parameters: that the loss is differentiated by.
+        The threads synchronise once. With `run` they would synchronise after each network, and one
+        thread would compute the loss. Each slice has the same share of all tensors of rows, whose
+        lengths may differ.
 
         Returns:
-            The gradients by `parameters`, None for those that the loss does not depend on, and
-            the values: means over all rows where `function` gives numbers, all rows where it gives
-            rows.
+            The gradients, None for parameters without influence on the loss; and the values of
+            `function`: scalars as means over all rows, tensors with all rows.
         """
 
         def differentiate(part: dict[str, Tensor], share: float) -> tuple[Any, ...]:
@@ -289,7 +256,7 @@ class NetworkExecutor:
         return list(map(sum_gradients, zip(*found, strict=True))), merged
 
     def map(self, function: Callable[..., Any], arguments: list[tuple[Any, ...]]) -> list[Any]:
-        """Return [function(*a) for a in arguments], the calls spread over the threads."""
+        """Return [function(*a) for a in arguments], computed by all threads."""
         if len(arguments) <= 1:
             return [function(*a) for a in arguments]
         grad_enabled = torch.is_grad_enabled()
@@ -299,7 +266,7 @@ class NetworkExecutor:
         def work(first: int) -> None:
             self._within.slice = True
             try:
-                with torch.set_grad_enabled(grad_enabled):  # each thread has a switch of its own
+                with torch.set_grad_enabled(grad_enabled):  # Each thread has its own switch.
                     for i in range(first, len(arguments), busy):
                         results[i] = function(*arguments[i])
             finally:
@@ -329,14 +296,14 @@ class NetworkExecutor:
 
 
 def _as_float32(output: Any) -> Any:
-    """Return an output of a network, or a tuple of outputs or recurrent states, in float32."""
+    """Return an output, or a tuple of outputs or recurrent states, in float32."""
     if isinstance(output, tuple):
         return tuple(map(_as_float32, output))
     return output.float() if isinstance(output, Tensor) else output
 
 
 class _SlicedFunction(torch.autograd.Function):
-    """A function of rows and parameters whose slices are differentiated on several threads."""
+    """A function of rows and parameters; several threads differentiate its slices."""
 
     @staticmethod
     def forward(  # type: ignore[override]
@@ -356,7 +323,7 @@ class _SlicedFunction(torch.autograd.Function):
             outputs = executor.map(function, inputs)
         columns = list(zip(*outputs, strict=True))
         results = tuple(torch.cat([part.detach() for part in column]) for column in columns)
-        # What depends on no parameter (the spread of a fixed sigma) must not seem to.
+        # Outputs that depend on no parameter (a fixed sigma) must not require gradients.
         constant = [r for r, c in zip(results, columns, strict=True) if not c[0].requires_grad]
         ctx.mark_non_differentiable(*constant)
         ctx.executor, ctx.parameters = executor, tensors[num_inputs:]
@@ -377,7 +344,7 @@ class _SlicedFunction(torch.autograd.Function):
         parts = split_rows(grads, len(ctx.slices))
         arguments = [(*graph, part) for graph, part in zip(ctx.slices, parts, strict=True)]
         columns = list(zip(*ctx.executor.map(differentiate, arguments), strict=True))
-        ctx.slices = None  # frees the graphs
+        ctx.slices = None  # Frees the graphs.
         row_grads = [torch.cat(columns.pop(0)) if needs else None for needs in ctx.needs_grad]
         return (None, None, None, None, *row_grads, *map(sum_gradients, columns))
 
@@ -386,13 +353,9 @@ class _SlicedFunction(torch.autograd.Function):
 
 
 def evaluate_in_chunks(function: Callable[..., Tensor], *rows: Tensor) -> Tensor:
-    """Return float32 function(*rows), (..., D), of rows (..., F) each, without gradients.
+    """Return function(*rows) (..., D) in float32, without gradients, for rows (..., F).
 
-    Not all rows at once, so that activations stay in the cache.
-
-    Args:
-        function: (n, F) of each -> (n, D); rows are independent of each other.
-        rows: their leading dimensions are the same, and any number of them.
+    Chunks of rows keep the activations in the cache.
     """
     with torch.no_grad():
         columns = [x.reshape(-1, x.shape[-1]).split(_CHUNK_ROWS) for x in rows]
@@ -408,16 +371,10 @@ def split_rows(rows: tuple[Tensor, ...], slices: int) -> list[tuple[Tensor, ...]
 def split_proportionally(
     rows: dict[str, Tensor], slices: int
 ) -> tuple[list[dict[str, Tensor]], list[float]]:
-    """Split tensors of different lengths so that each slice has the same share of all of them.
+    """Split tensors of different lengths into slices with equal shares of every tensor.
 
-    Means over the slices, weighted by the shares, are then means over all rows of each tensor.
-
-    Args:
-        rows: {name: (n, ...)}, not empty.
-        slices: at most so many; there are fewer if the lengths have no common divisor that large.
-
-    Returns:
-        The slices, consecutive rows, and their shares, which add up to 1.
+    Returns the slices and their shares. There are at most `slices`, and fewer if the lengths'
+    greatest common divisor is smaller.
     """
     unit = math.gcd(*map(len, rows.values()))
     slices = max(1, min(slices, unit))

@@ -1,4 +1,4 @@
-"""The actor and the critic that the networks of our agents share."""
+"""The actor and critic that the networks of this project's agents share."""
 
 from __future__ import annotations
 
@@ -13,20 +13,12 @@ from isaacgymenvs_lite.learning.published_names import NETWORK_NAMES, PublishedN
 
 
 class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
-    """rl_games' A2C network whose actor and critic can be called by themselves.
-
-    Args:
-        params: the section `network:`.
-        kwargs: rl_games' build arguments.
-
-    Raises:
-        ConfigError: recurrent or convolutional networks.
-    """
+    """rl_games' A2C network of MLPs, whose actor and critic can also be called separately."""
 
     replaced: ClassVar[dict[str, str]] = NETWORK_NAMES
 
     row_functions: tuple[str, ...] = ("eval_actor", "eval_critic")
-    """Methods whose rows are independent; see `ParallelNetwork`."""
+    """Methods that `ParallelNetwork` computes in slices of rows."""
 
     def __init__(self, params: dict[str, Any], **kwargs: Any) -> None:
         for section in ("rnn", "cnn"):
@@ -43,8 +35,7 @@ class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
     def forward(self, obs_dict: dict[str, Any]) -> tuple[Any, ...]:
         """Return mean actions, log standard deviations, values and no recurrent state.
 
-        As rl_games', which shares layers of actor and critic; a subclass' own actor or critic
-        counts wherever the network is called.
+        rl_games' forward pass would ignore a subclass' `eval_actor` or `eval_critic`.
         """
         own, base = type(self), ActorCriticNetwork
         if own.eval_actor is base.eval_actor and own.eval_critic is base.eval_critic:
@@ -53,7 +44,7 @@ class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
         return *self.eval_actor(obs), self.eval_critic(obs), None
 
     def eval_actor(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-        """Return mean actions and log standard deviations (n, A) for normalised obs (n, O)."""
+        """Return mean actions and log standard deviations (n, A) of normalised obs (n, O)."""
         return self._act_on(self.actor_mlp(obs))
 
     def _act_on(self, features: Tensor) -> tuple[Tensor, Tensor]:
@@ -65,6 +56,6 @@ class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
         return mu, self.sigma_act(layer(features))
 
     def eval_critic(self, obs: Tensor) -> Tensor:
-        """Return normalised values (n, values) for normalised obs (n, O)."""
+        """Return normalised values (n, values) of normalised obs (n, O)."""
         trunk = self.critic_mlp if self.separate else self.actor_mlp
         return self.value_act(self.value(trunk(obs)))

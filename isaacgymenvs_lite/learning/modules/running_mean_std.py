@@ -1,4 +1,4 @@
-"""rl_games' running mean and standard deviation, quicker on a CPU; normalised advantages."""
+"""A faster form of rl_games' running mean and variance, and normalised advantages."""
 
 from __future__ import annotations
 
@@ -13,14 +13,10 @@ from isaacgymenvs_lite.distributed.moments import joined_moments, normalize_join
 
 
 class RunningMeanStd(running_mean_std.RunningMeanStd):
-    """The same statistics under the same names in checkpoints.
+    """rl_games' statistics, with the same names in checkpoints, but faster on a CPU.
 
-    torch's `var` walks down a column entry by entry and took 7% of AMP's update; the mean of the
-    squared deviations is the same number and ten times as fast.
-
-    Args:
-        insize: shape of a row.
-        memory: rows that the statistics remember: older ones fade. None = all, as rl_games.
+    torch's `var` reduces columns slowly and took 7% of AMP's update. The mean of squared deviations
+    gives the same value ten times as fast. `memory` is the number of rows that the statistics keep.
     """
 
     def __init__(self, insize: tuple[int, ...], memory: int | None = None) -> None:
@@ -28,7 +24,7 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
         self.memory = memory
 
     def forward(self, input: Tensor, denorm: bool = False, mask: Tensor | None = None) -> Tensor:
-        """Normalise rows (n, ...) to +-5 (or back), in training mode after counting them in."""
+        """Normalise rows (n, ...) to +-5 (or back); training mode first counts them in."""
         if denorm or mask is not None or self.per_channel or self.norm_only:
             return super().forward(input, denorm, mask)
         if self.training:
@@ -38,7 +34,7 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
 
     @torch.no_grad()
     def count_in(self, *kinds: Tensor) -> None:
-        """Take rows (n, ...) of one kind after another into the statistics, whatever the mode."""
+        """Update the statistics by one tensor of rows (n, ...) after another, in any mode."""
         if current_group().size > 1:
             count_in_jointly([(self, *kinds)])
             return
@@ -57,11 +53,7 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
 
 @torch.no_grad()
 def count_in_jointly(inputs: list[tuple[Any, ...]]) -> None:
-    """Take the rows of all processes into several statistics, by one message.
-
-    Args:
-        inputs: statistics, each followed by rows (n, ...) of this process in order.
-    """
+    """Update statistics, each with its tensors of rows (n, ...), by the rows of all processes."""
     kinds = [(each.running_mean, rows) for each, *several in inputs for rows in several]
     moments = iter(joined_moments(kinds))
     for each, *several in inputs:
@@ -71,10 +63,7 @@ def count_in_jointly(inputs: list[tuple[Any, ...]]) -> None:
 
 
 def replace_normalizers(model: nn.Module) -> None:
-    """Replace the normalisers of an rl_games model (its direct children) by the class above.
-
-    Normalisers of dictionaries and of recurrent models' masks stay rl_games' own.
-    """
+    """Replace the normalisers of an rl_games model, except for dictionaries of observations."""
     for name in ("running_mean_std", "value_mean_std"):
         former = getattr(model, name, None)
         if former is None or not isinstance(former.running_mean, Tensor):
@@ -86,14 +75,7 @@ def replace_normalizers(model: nn.Module) -> None:
 
 
 def normalize_advantages(advantages: Tensor, mask: Tensor | None = None) -> Tensor:
-    """Return advantages (n,) normalised by mean and standard deviation of the rows that count.
-
-    Of several processes that train together the rows of all count.
-
-    Args:
-        advantages: of this process.
-        mask: (n,) 1 where a row counts; None: all do.
-    """
+    """Return advantages (n,), normalised by rows of all processes with `mask` (n,) 1 (or all)."""
     if current_group().size > 1:
         return normalize_jointly(advantages, torch.ones_like(advantages) if mask is None else mask)
     if mask is not None:
@@ -102,9 +84,9 @@ def normalize_advantages(advantages: Tensor, mask: Tensor | None = None) -> Tens
 
 
 def normalize_masked(values: Tensor, mask: Tensor) -> Tensor:
-    """Return values (n,) normalised by mean and standard deviation of the rows of mask (n,) 1.
+    """Return values (n,), normalised by mean and standard deviation of rows with mask (n,) 1.
 
-    The variance is unbiased; with fewer than two such rows the values are returned unchanged.
+    The variance is unbiased. With fewer than two counted rows the values are unchanged.
     """
     count = mask.sum()
     if count < 2:

@@ -1,7 +1,7 @@
-"""The skill encoder: rewards and learns to recognise the latent in the motion.
+"""The skill encoder, which infers the latent from the motion: rewards and loss.
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
-The layers are part of the actor-critic network, as the discriminator's.
+The encoder's layers belong to the actor-critic network.
 """
 
 from __future__ import annotations
@@ -18,19 +18,10 @@ from isaacgymenvs_lite.learning.cpu.parallel import evaluate_in_chunks
 
 
 class SkillEncoder:
-    """Reads in AMP observations which latent the policy acted under.
-
-    Args:
-        network: has `eval_enc` and `get_enc_weights`, as `GenAMPBuilder.Network`.
-        normalize: of AMP observations (n, F), the discriminator's.
-        params: weights and scales.
-    """
+    """Infers the policy's latents from AMP observations (n, F), which `normalize` normalises."""
 
     def __init__(
-        self,
-        network: Any,
-        normalize: Callable[[Tensor], Tensor],
-        params: GenAMPParams,
+        self, network: Any, normalize: Callable[[Tensor], Tensor], params: GenAMPParams
     ) -> None:
         self._network = network
         self._normalize = normalize
@@ -41,7 +32,7 @@ class SkillEncoder:
         return self.reward_from_latents(self.read(amp_obs), latents)
 
     def reward_from_latents(self, found: Tensor, latents: Tensor) -> Tensor:
-        """Return `reward` for the latents (..., Z) that `read` found."""
+        """Return `reward` for inferred and actual latents (..., Z)."""
         agreement = (found * latents).sum(dim=-1, keepdim=True)
         return agreement.clamp(min=0.0) * self._params.enc_reward_scale
 
@@ -54,14 +45,11 @@ class SkillEncoder:
     def loss(
         self, found: Tensor, latents: Tensor, gradient: Tensor | None = None
     ) -> dict[str, Tensor]:
-        """Return `enc_loss` and, with a gradient, `enc_grad_penalty`, which is unweighted.
+        """Return `enc_loss` and, with a gradient, the unweighted `enc_grad_penalty`.
 
-        `enc_loss` is the mean of -q . z, and the weighted weight decay and gradient penalty.
-
-        Args:
-            found: q, (K, Z) of the policy's AMP observations.
-            latents: z, (K, Z).
-            gradient: (K, F) of -q . z by the normalised AMP observations, differentiable.
+        `enc_loss` is the mean of -q . z, plus weight decay and gradient penalty. q (`found`) are
+        inferred latents and z the policy's, (K, Z) each. `gradient` (K, F) is the gradient of -q .
+        z by the normalised AMP observations, differentiable.
         """
         loss = -(found.float() * latents).sum(dim=-1).mean()
         if self._params.enc_weight_decay != 0.0:
@@ -75,14 +63,11 @@ class SkillEncoder:
 
 
 class SkillRewards:
-    """The published reward methods of GenAMP agents and players, as a mixin of both.
-
-    It precedes AMP's class, whose rewards it extends.
-    """
+    """Mixin of GenAMP agents and players: published reward methods; precedes AMP's class."""
 
     model: Any
     encoder: SkillEncoder
-    # AMP's class has them.
+    # Attributes of AMP's class.
     _amp: Any
     _calc_disc_rewards: Any
     _reward_latents: Any
@@ -90,17 +75,17 @@ class SkillRewards:
 
     @property
     def _observes_goal(self) -> bool:
-        """Whether the policy observes the goal: if `task_reward_w` is not 0."""
+        """Whether the policy observes the goal: only if `task_reward_w` is not 0."""
         return self._amp.task_reward_w != 0.0
 
     def _sizes_of_inputs(self, env: Any) -> dict[str, Any]:
-        """Return the network's sizes of latents, and of observations without an ignored goal."""
+        """Return the network's sizes of latents and of observations (without an ignored goal)."""
         of_goal = 0 if self._observes_goal else goal_size(env)
         self.num_policy_obs = self.obs_shape[0] - of_goal
         return {"amp_latent_shape": (self._amp.latent_dim,), "input_shape": (self.num_policy_obs,)}
 
     def _preproc_obs(self, obs: Any) -> Any:
-        """Preprocess observations (..., O) as rl_games, after dropping an ignored goal."""
+        """Remove an ignored goal from observations (..., O), then preprocess them as rl_games."""
         base: Any = super()
         return base._preproc_obs(obs[..., : self.num_policy_obs])
 
@@ -111,9 +96,9 @@ class SkillRewards:
     def _calc_amp_rewards(
         self, amp_obs: Tensor, ase_latents: Tensor | None = None
     ) -> dict[str, Tensor]:
-        """Return {"disc_rewards", "enc_rewards"}, (..., 1) each, of raw AMP observations (..., F).
+        """Return "disc_rewards" and "enc_rewards" (..., 1) of raw AMP observations (..., F).
 
-        `ase_latents` (..., Z) are those that the policy acted under; None: `_reward_latents`.
+        `ase_latents` (..., Z) are the policy's latents; None takes the latents of the rollout.
         """
         latents = self._reward_latents()[0] if ase_latents is None else ase_latents
         of_disc = (latents,) if self._disc_is_conditional else ()
@@ -123,9 +108,9 @@ class SkillRewards:
         }
 
     def _calc_enc_rewards(self, amp_obs: Tensor, ase_latents: Tensor) -> Tensor:
-        """Return encoder rewards (..., 1); see `SkillEncoder.reward`."""
+        """Return the encoder's rewards (..., 1); see `SkillEncoder.reward`."""
         return self.encoder.reward_from_latents(self._eval_enc(amp_obs), ase_latents)
 
     def _eval_enc(self, amp_obs: Tensor) -> Tensor:
-        """Return the latents (..., Z) that raw AMP observations (..., F) suggest."""
+        """Return the latents (..., Z) inferred from raw AMP observations (..., F)."""
         return self.encoder.read(amp_obs)

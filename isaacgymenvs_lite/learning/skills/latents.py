@@ -1,11 +1,10 @@
-"""Skill latents: unit vectors, when each environment gets a new one, and which one.
+"""Skill latents (unit vectors), and the schedule of their changes.
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
-Random latents alone, as in ASE, make a policy find every skill by exploration, and it settles for
-the easiest: standing in many ways. With `ClipLatents` some episodes that start in a clip have the
-latent that the encoder finds in the clip, so that continuing the clip earns the encoder's reward at
-once. This is between ASE and CALM (Tessler et al. 2023, arXiv 2305.02195), which reads all latents
-from clips.
+A policy with only random latents, as in ASE, must find every skill by exploration, and often
+learns only to stand in many ways. `ClipLatents` gives some episodes that start in a clip the latent
+that the encoder infers from the clip. Continuing the clip then earns the encoder's reward. CALM
+(Tessler et al. 2023, arXiv 2305.02195) infers all latents from clips.
 """
 
 from __future__ import annotations
@@ -33,22 +32,13 @@ def latent_space(latent_dim: int) -> gymnasium.spaces.Box:
 
 
 class LatentSchedule(Stateful):
-    """The latents of N environments, each kept for a random number of control steps.
+    """The latents of N environments, each kept for `steps_min` to `steps_max` - 1 control steps.
 
-    Args:
-        num_envs: N.
-        latent_dim: Z.
-        steps_min: least number of steps that a latent is kept, at least 1.
-        steps_max: above the largest number.
-        device: of the latents.
-        draw: n -> latents (n, Z), unit vectors; None: random ones.
+    `draw` returns n latents (n, Z), unit vectors; by default they are random.
 
     Attributes:
-        latents: (N, Z), the current ones; replaced, never written into.
-        change_at: (N,) control steps of the episodes after which the next ones follow.
-
-    Raises:
-        ConfigError: steps_min is not below steps_max, or below 1.
+        latents: (N, Z) current latents; changes replace the tensor.
+        change_at: (N,) control steps of the episodes after which the latents change.
     """
 
     stored = ("latents", "change_at")
@@ -74,18 +64,18 @@ class LatentSchedule(Stateful):
         self.change_at = self._draw_steps(num_envs)
 
     def restart(self, env_ids: Tensor, latents: Tensor | None = None) -> None:
-        """Give new episodes in environments (n,) new latents, or these (n, latent_dim)."""
+        """Give new episodes in environments (n,) new latents, or the given `latents` (n, Z)."""
         if len(env_ids) == 0:
             return
         self._renew(env_ids, self._draw(len(env_ids)) if latents is None else latents)
         self.change_at[env_ids] = self._draw_steps(len(env_ids))
 
     def is_over(self, progress: Tensor) -> Tensor:
-        """Return (N,) bool: the latent ends before the step after `progress` (N,) steps."""
+        """Return (N,) bool: whether latents end before the step after `progress` (N,) steps."""
         return self.change_at <= progress
 
     def advance(self, progress: Tensor) -> Tensor:
-        """Replace latents that end after `progress` (N,) steps; return the environments (n,)."""
+        """Replace latents that end after `progress` (N,) steps; return their environments (n,)."""
         env_ids = self.is_over(progress).nonzero().flatten()
         if len(env_ids) > 0:
             self._renew(env_ids, self._draw(len(env_ids)))
@@ -93,7 +83,7 @@ class LatentSchedule(Stateful):
         return env_ids
 
     def _renew(self, env_ids: Tensor, latents: Tensor) -> None:
-        # A copy: the rollout keeps the latents of earlier steps.
+        # The rollout keeps the old tensor.
         self.latents = self.latents.clone()
         self.latents[env_ids] = latents
 
@@ -102,14 +92,10 @@ class LatentSchedule(Stateful):
 
 
 class ClipLatents:
-    """Draws latents: of a clip with probability `share`, random ones otherwise.
+    """Draws latents: inferred from a clip with probability `share`, otherwise random.
 
-    Args:
-        share: 0 to 1.
-        latent_dim: Z.
-        read: AMP observations (n, F) -> latents (n, Z), the encoder.
-        fetch: n -> AMP observations (n, F) of the clips.
-        sample: n -> random latents (n, Z); None: uniform on the sphere.
+    `read` is the encoder, from AMP observations (n, F) to latents (n, Z). `fetch` returns n AMP
+    observations of the clips, and `sample` n random latents (default: uniform on the sphere).
     """
 
     def __init__(
@@ -127,7 +113,7 @@ class ClipLatents:
         self._sample = sample
 
     def draw(self, n: int, device: str | torch.device = "cpu") -> Tensor:
-        """Return n latents (n, Z), read at random moments of the clips or random."""
+        """Return latents (n, Z), random or inferred from random moments of the clips."""
         latents, chosen = self.random(n, device)
         if len(chosen) > 0:
             latents[chosen] = self._read(self._fetch(len(chosen)))
@@ -136,7 +122,7 @@ class ClipLatents:
     def for_starts(self, amp_obs: Tensor) -> tuple[Tensor, Tensor]:
         """Return latents (n, Z) for episodes that start with AMP observations (n, F).
 
-        The rows (k,) whose latents were read from their starts come second.
+        The second tensor (k,) has the rows whose latents were inferred from their starts.
         """
         latents, chosen = self.random(len(amp_obs), amp_obs.device)
         if len(chosen) > 0:
@@ -144,27 +130,23 @@ class ClipLatents:
         return latents, chosen
 
     def random(self, n: int, device: str | torch.device) -> tuple[Tensor, Tensor]:
-        """Return random latents (n, Z), and the rows (k,) to replace by latents of clips."""
+        """Return random latents (n, Z), and the rows (k,) for latents of clips."""
         sample = self._sample or (lambda k: sample_latents(k, self._latent_dim, device))
         latents = sample(n).to(device)
-        if self._share == 0.0:  # draws no random numbers
+        if self._share == 0.0:  # Draws no random numbers.
             return latents, torch.empty(0, dtype=torch.int64, device=device)
         chosen = torch.rand(n, device=device) < self._share
         return latents, chosen.nonzero().flatten()
 
 
 def sample_similar_rows(latents: Tensor, found: Tensor, sharpness: float) -> Tensor:
-    """Draw for each of m latents a similar row of the clips: (m,) indices into `found`.
+    """Draw a similar row of the clips for each latent z (m, Z); return m indices into `found`.
 
-    The nearer, the likelier: by exp(sharpness * z . q), the density of von Mises and Fisher.
-
-    Args:
-        latents: (m, Z) unit vectors z.
-        found: (n, Z) unit vectors q that the encoder found in n rows of the clips.
-        sharpness: with 0 all rows are equally likely.
+    `found` (n, Z) are latents q inferred from rows of the clips. The probability of a row is
+    proportional to exp(sharpness * z . q) (von Mises and Fisher).
     """
     scores = sharpness * latents @ found.t()
-    # The largest of scores with Gumbel noise is a draw by their exponentials.
+    # The maximum of scores with Gumbel noise samples rows with probabilities exp(score).
     noise = torch.empty_like(scores).exponential_().log_()
     return (scores - noise).argmax(dim=-1)
 
@@ -172,9 +154,7 @@ def sample_similar_rows(latents: Tensor, found: Tensor, sharpness: float) -> Ten
 class EvaluationLatents:
     """The latents of a task that is played or evaluated; call it before each policy step.
 
-    Args:
-        schedule: used by nothing else.
-        interpolate: move from latent to latent along the sphere instead of jumping.
+    `interpolate` moves the latents gradually along the sphere.
     """
 
     def __init__(self, schedule: LatentSchedule, interpolate: bool = False) -> None:
@@ -193,7 +173,7 @@ class EvaluationLatents:
         schedule.advance(progress)
         if not self._interpolate:
             return schedule.latents
-        # An episode starts at its first latent, every later arc where the last one ended.
+        # An episode starts at its first latent; each later arc starts at the end of the arc before.
         start = torch.where(is_new.unsqueeze(-1), schedule.latents, target)
         self._before = torch.where(changes.unsqueeze(-1), start, self._before)
         self._since = torch.where(changes, progress.to(self._since.dtype), self._since)
@@ -202,12 +182,13 @@ class EvaluationLatents:
 
 
 def interpolate_on_sphere(start: Tensor, end: Tensor, share: Tensor) -> Tensor:
-    """Return unit vectors (n, Z) on the great circles between unit vectors that are not opposite.
+    """Return unit vectors (n, Z) on the great circles from `start` to `end` (n, Z).
 
-    `share` (n,) of the angle: 0 gives `start` (n, Z), 1 `end`.
+    `share` (n,) is the share of the angle: 0 gives `start`, 1 gives `end`. Start and end must not
+    be opposite.
     """
     cosine = (start * end).sum(dim=-1, keepdim=True).clamp(-1.0, 1.0)
     angle, share = cosine.acos(), share.unsqueeze(-1)
     point = torch.sin((1.0 - share) * angle) * start + torch.sin(share * angle) * end
-    # Where both are the same, sin(angle) is 0 and the point is either of them.
+    # sin(angle) is 0 where start and end coincide.
     return torch.where(angle < 1e-4, start, F.normalize(point, dim=-1))

@@ -1,7 +1,4 @@
-"""The frozen low-level controller of a hierarchy: latents in, actions out.
-
-The agent that trains a high-level policy and the player share it.
-"""
+"""The frozen low-level controller of a hierarchy: latents in, actions out."""
 
 from __future__ import annotations
 
@@ -44,11 +41,11 @@ _RL_DEVICES = ("cpu", "cuda:0")
 
 @dataclass(frozen=True)
 class LowLevelSizes:
-    """Sizes that a low-level controller has in a task.
+    """A low-level controller's sizes in a task.
 
     Attributes:
-        num_obs: entries of an observation, the task's features included.
-        num_task_obs: how many of these, the last ones, describe the task.
+        num_obs: dimension of an observation, including the task's features.
+        num_task_obs: dimension of the task's features, the last entries of an observation.
     """
 
     num_obs: int
@@ -71,20 +68,16 @@ class LowLevelPolicy:
     """A trained GenAMP policy that never changes: evaluation mode, no gradients.
 
     Args:
-        llc_config: the train file that it was trained with; see `read_train_file`. Networks and
-            latents that a packed policy describes itself replace the file's.
-        llc_checkpoint: its checkpoint, or the name of a shipped policy.
-        sizes: of the task.
-        device: of networks and results.
-        precision: replaces `mixed_precision: auto` of the train file, so that a run computes alike
-            whenever it is resumed or played.
+        llc_config: train file of the policy. A packed policy's own settings replace the file's.
+        llc_checkpoint: checkpoint of the policy, or the name of a shipped policy.
+        sizes: the controller's sizes in the task.
+        device: device of networks and results.
+        precision: replaces `mixed_precision: auto` of the train file.
 
     Attributes:
-        latent_dim: Z.
-        params: the GenAMP keys of the train file.
-        discriminator: gives its style reward.
-        encoder: reads latents in motion.
-        reference: identifies it in a checkpoint of the high level; see `llc_reference`.
+        discriminator: the controller's style reward.
+        encoder: infers latents from motion.
+        reference: identifies the controller in a checkpoint of the high level.
 
     Raises:
         ConfigError: the train file is not of a GenAMP policy.
@@ -105,7 +98,8 @@ class LowLevelPolicy:
         builder = _model_builder(train_params, llc_config)
         self.params = read_agent_params(train_params["config"], GenAMPParams)
         self.latent_dim = self.params.latent_dim
-        self._sizes = sizes
+        self.num_task_obs = sizes.num_task_obs
+        self.num_character_obs = sizes.num_obs - sizes.num_task_obs
         amp_obs_size = disc_obs_size(sizes.amp_obs, self.params)
         self._device = torch.device(device)
         self.model = builder.build(
@@ -140,7 +134,7 @@ class LowLevelPolicy:
         self._high = torch.from_numpy(sizes.action_space.high.copy()).to(self._device)
 
     def _load(self, state: dict[str, Any], checkpoint: str, llc_config: str) -> None:
-        """Load a checkpoint, with a message for each size that differs between tasks."""
+        """Load a checkpoint, with its own message for each size that depends on the task."""
         own = self.model.state_dict()
         for key, what, source in (
             ("a2c_network.critic_mlp._mlp.0.weight", "observation and latent", "the task has"),
@@ -156,9 +150,9 @@ class LowLevelPolicy:
             there, here = (int((0, *each[key].shape)[-1]) for each in (state["model"], own))
             if there != here:
                 raise CheckpointError(
-                    f"llc_checkpoint={checkpoint}: was trained with {there} numbers of {what},"
-                    f" {source} {here}: another humanoid or another observation; train a"
-                    " low-level controller for this task, or choose the task that it was trained on"
+                    f"llc_checkpoint={checkpoint}: expects {there} dimensions of {what}, {source}"
+                    f" {here}; choose the task and humanoid of its training, or train a low-level"
+                    " controller for this task"
                 )
         modules: dict[str, Any] = {"model": self.model, **self.discriminator.checkpoint_modules}
         hint = f"does not fit llc_config={llc_config}, expected the train file it was trained with"
@@ -166,27 +160,12 @@ class LowLevelPolicy:
         for key, module in modules.items():
             module.load_state_dict(fitted[key])
 
-    @property
-    def num_character_obs(self) -> int:
-        """Entries of an observation without the task's features."""
-        return self._sizes.num_obs - self._sizes.num_task_obs
-
-    @property
-    def num_task_obs(self) -> int:
-        """Entries of an observation that describe the task, the last ones."""
-        return self._sizes.num_task_obs
-
     def extract_obs(self, obs: Tensor) -> Tensor:
-        """Return observations (n, O) without the task's features, the last ones."""
+        """Return observations (n, O) without the task's features."""
         return obs[:, : self.num_character_obs]
 
     def actions(self, obs: Tensor, latents: Tensor) -> Tensor:
-        """Return mean actions (n, A) within the task's limits.
-
-        Args:
-            obs: (n, O), raw, with or without the task's features.
-            latents: (n, Z), unit vectors.
-        """
+        """Return the task's actions (n, A) for raw observations (n, O) and latents (n, Z)."""
         with torch.no_grad():
             normalized = self.model.norm_obs(self.extract_obs(obs))
             mu, _ = self.model.a2c_network.eval_actor(normalized, amp_latents=latents)
@@ -198,12 +177,10 @@ class LowLevelPolicy:
         steps: int,
         act: Callable[[Tensor, Tensor], Tensor] | None = None,
     ) -> Callable[[Tensor], Tensor]:
-        """Return a policy from raw observations (n, O) to actions (n, A), one step at a time.
+        """Return a policy from raw observations (n, O) to actions (n, A); a call is a control step.
 
-        Args:
-            choose: observations (n, O) -> latents (n, Z), unit vectors; called every `steps` steps.
-            steps: control steps under one latent.
-            act: observations and what `choose` returned -> actions (n, A); None: `actions`.
+        Every `steps` calls `choose` maps observations to new latents (n, Z). `act` maps
+        observations and latents to actions; by default it is `actions`.
         """
         chosen, step, actions_of = torch.empty(0), 0, act or self.actions
 
@@ -219,10 +196,7 @@ class LowLevelPolicy:
     def style_reward(self, amp_obs: Tensor, latents: Tensor | None = None) -> Tensor:
         """Return style rewards (n, 1) of raw AMP observations (n, F).
 
-        Args:
-            amp_obs: raw.
-            latents: (n, Z), the skills that a conditional discriminator looks for; None: those
-                that the encoder reads in the motion.
+        A conditional discriminator judges `latents` (n, Z); None takes the encoder's.
         """
         if not self.model.a2c_network.disc_is_conditional:
             return self.discriminator.reward(amp_obs)
@@ -232,11 +206,7 @@ class LowLevelPolicy:
 
 
 def _model_builder(train_params: dict[str, Any], llc_config: str) -> Any:
-    """Return the unbuilt model that a train file names, which may be a user's registered one.
-
-    Raises:
-        ConfigError: the file is of no policy with skill latents.
-    """
+    """Return the unbuilt model of a train file, which a user may have registered."""
     network, registered = train_params.get("network") or {}, model_builder.ModelBuilder()
     try:
         builder = registered.network_builder.network_factory.create(network.get("name"))
@@ -255,11 +225,7 @@ def _model_builder(train_params: dict[str, Any], llc_config: str) -> Any:
 
 
 def find_llc_checkpoint(llc_checkpoint: str) -> Path:
-    """Return the file of a low-level controller: a path, or the name of a shipped policy.
-
-    Raises:
-        CheckpointError: none is given, or there is no such file.
-    """
+    """Return the file of a low-level controller, given its path or a shipped policy's name."""
     shipped = shipped_policies()
     path = shipped.get(llc_checkpoint) or user_path(llc_checkpoint)
     if llc_checkpoint and path.is_file():
@@ -274,10 +240,10 @@ def find_llc_checkpoint(llc_checkpoint: str) -> Path:
 
 
 def _train_params(llc_config: str, state: dict[str, Any]) -> dict[str, Any]:
-    """Return the section `params` that a checkpoint was trained with.
+    """Return the section `params` of a checkpoint's training.
 
-    A packed policy describes itself. The networks of a train file may depend on the device of its
-    training: the variant with the layers of the checkpoint is returned.
+    The networks of a train file may depend on the training's device. The returned variant has the
+    checkpoint's layers.
     """
     variants = []
     for device in _RL_DEVICES:
@@ -293,5 +259,5 @@ def _train_params(llc_config: str, state: dict[str, Any]) -> dict[str, Any]:
 
 
 def latents_of_actions(actions: Tensor) -> Tensor:
-    """Return the unit vectors (n, Z) that high-level actions (n, Z) point to."""
+    """Return high-level actions (n, Z), scaled to unit vectors."""
     return F.normalize(actions, dim=-1)
