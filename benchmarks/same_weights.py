@@ -17,6 +17,8 @@ from pathlib import Path
 import torch
 
 COMMON = ("seed=5", "num_envs=16", "max_iterations=3", "num_threads=1", "headless=True")
+# `auto` would choose the precision by a measurement, which depends on other work on the machine.
+PRECISION = "++train.params.config.mixed_precision=False"
 SHORT = ("train.params.config.horizon_length=8", "train.params.config.minibatch_size=64")
 TRAININGS = {
     "PPO": ("task=Ant", *SHORT),
@@ -33,7 +35,7 @@ def weights_hash(checkout: Path, words: tuple[str, ...]) -> str:
     with tempfile.TemporaryDirectory() as folder:
         runs = f"++train.params.config.train_dir={folder}"
         subprocess.run(
-            [sys.executable, "train.py", *words, *COMMON, runs],
+            [sys.executable, "train.py", *words, *COMMON, PRECISION, runs],
             cwd=checkout,
             check=True,
             capture_output=True,
