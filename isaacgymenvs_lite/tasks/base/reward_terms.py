@@ -16,5 +16,4 @@ def replace_where(terms: Terms, where: Tensor, name: str, value: float) -> Terms
 
 def total(terms: Terms) -> Tensor:
     """Return the sum (N,) of terms (N,)."""
-    values = tuple(terms.values())
-    return values[0] if len(values) == 1 else torch.stack(values).sum(0)
+    return torch.stack(tuple(terms.values())).sum(0)

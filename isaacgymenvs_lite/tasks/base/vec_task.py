@@ -479,7 +479,8 @@ class VecTask(Env):
         if (discarded := self._discarded) is not None:
             terms = {name: term.masked_fill(discarded, 0.0) for name, term in terms.items()}
         self.reward_terms = terms
-        self.rew_buf.copy_(total(terms))
+        reward = next(iter(terms.values())) if len(terms) == 1 else total(terms)
+        self.rew_buf.copy_(reward)
 
     def compute_reset(self) -> None:
         """Write which episodes end, and how."""
