@@ -1,4 +1,4 @@
-"""Checks a task or train file and describes its training, without training; or the installation.
+"""Checks a task file, a train file or the installation, without training.
 
     isaacgymenvs-lite check FILE.yaml [task=<name>] [key=value ...]
     isaacgymenvs-lite check                    # versions and what works, for an issue

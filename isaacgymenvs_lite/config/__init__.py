@@ -1,5 +1,5 @@
-"""The configuration: composed, checked, and turned into what rl_games loads.
+"""Composes and checks the configuration.
 
-`compose.compose` makes a tree, `launch.check_config` refuses a wrong one, and
-`train_params.prepare_train_params` turns its train section into the dictionary of rl_games' Runner.
+`compose.compose` makes a tree, `launch.read_config` checks it, and
+`train_params.prepare_train_params` turns the train section into the dictionary of rl_games' Runner.
 """

@@ -1,4 +1,4 @@
-"""The metrics of an epoch, read once for all observers that need them, and a task's scalars."""
+"""Computes the metrics of an epoch for all observers, and writes a task's scalars."""
 
 from __future__ import annotations
 
