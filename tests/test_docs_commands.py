@@ -344,6 +344,7 @@ def check_command(words: Sequence[str]) -> None:
 # --- tests ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("nothing_begins")
 def test_every_command_is_accepted():
     refused = []

@@ -58,6 +58,7 @@ def wheel(tmp_path_factory) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_the_wheel_of_the_sdist_is_the_same(wheel, tmp_path):
     def build(kind: str, folder: Path, out: Path) -> Path:
         command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(out)]

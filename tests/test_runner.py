@@ -612,6 +612,7 @@ def test_a_terminal_that_closes_ends_the_training_with_a_checkpoint(in_tmp, walk
     assert f"_ep_{checkpoints.load_checkpoint(last)['epoch']}_" in last.name
 
 
+@pytest.mark.slow
 def test_ctrl_c_on_the_command_line(in_tmp, walk_clip):
     """A process of its own: SIGINT after the first line of progress, exit code 0."""
     process = start_training(walk_clip, stderr=subprocess.PIPE)

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import copy
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from omegaconf import DictConfig
@@ -18,6 +19,15 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.runner import run
 
 CONFIG = "train.params.config"
+
+
+def fast_and_slow(cases: Mapping[str, Any], *fast: str) -> list[Any]:
+    """Return the cases of a parametrised test by their ids; all but the fast ones are slow."""
+    return [
+        pytest.param(case, id=name, marks=() if name in fast else pytest.mark.slow)
+        for name, case in cases.items()
+    ]
+
 
 ONE_THREAD = ("num_threads=1", "rl_device=cpu")
 

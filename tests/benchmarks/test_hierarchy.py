@@ -16,6 +16,8 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.runner import run as train
 from tests.tiny import CONFIG, TINY_DISCRIMINATOR, TINY_PPO, TINY_STYLE
 
+pytestmark = pytest.mark.slow
+
 TINY = ("task.env.motion_file=stand", *TINY_PPO, "max_iterations=1")
 LOW_LEVEL = (*TINY_STYLE, *TINY_DISCRIMINATOR)
 

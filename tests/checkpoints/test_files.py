@@ -141,6 +141,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_a_kill_leaves_a_whole_checkpoint(tmp_path):
     path = tmp_path / "model.pth"
     process = subprocess.Popen(

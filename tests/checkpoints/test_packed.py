@@ -17,6 +17,7 @@ from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
 from isaacgymenvs_lite.motion.loader import shipped_robot_motions_dir
 from isaacgymenvs_lite.paths import shipped_policies
 from isaacgymenvs_lite.runner import load_player
+from tests.tiny import fast_and_slow
 
 
 def play(cfg: DictConfig) -> tuple[list[Tensor], EvaluationResult]:
@@ -125,7 +126,9 @@ def test_a_full_checkpoint_is_no_packed_policy(full_checkpoint):
 # --- what ships -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", shipped_policies())
+@pytest.mark.parametrize(
+    "name", fast_and_slow({name: name for name in shipped_policies()}, "walk", "g1_velocity")
+)
 def test_a_shipped_policy_plays_anywhere(name):
     info = read_policy_info(shipped_policies()[name])
     assert not Path(info.clip).is_absolute()
@@ -137,6 +140,7 @@ def test_a_shipped_policy_plays_anywhere(name):
     assert torch.stack(actions).isfinite().all()
 
 
+@pytest.mark.slow
 def test_the_shipped_g1_goes_as_commanded():
     for command in [(0.8, 0.0, 0.0), (0.4, 0.0, 0.6), (0.0, 0.0, 0.0)]:
         axes = zip(("linear_x", "linear_y", "yaw"), command, strict=True)

@@ -69,6 +69,7 @@ def test_a_hierarchy_takes_it_by_name(checkpoint, shipped_dir, tmp_path, monkeyp
     task.close()
 
 
+@pytest.mark.slow
 def test_a_high_level_is_packed_after_its_low_level(checkpoint, shipped_dir, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = (

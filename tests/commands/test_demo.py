@@ -70,6 +70,7 @@ def test_every_shipped_policy_is_played_measured_and_filmed(tmp_path, monkeypatc
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("policies", "gl")
 def test_a_picture_shows_the_clip_above_the_policy(tmp_path):
     settings = DemoSettings(policies=("tiny",), seconds=0.3, format="png", out=str(tmp_path))
@@ -104,6 +105,7 @@ def pack_skills(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[st
     return pack
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("gl", "small_panels")
 def test_skills_are_shown_in_several_environments(pack_skills, tmp_path):
     pack_skills("HumanoidASE")
@@ -172,6 +174,7 @@ def test_a_classic_task_is_shown_in_three_environments(tmp_path, monkeypatch, ca
     assert found and 0 < float(found[1]) <= float(found[2]) <= 499
 
 
+@pytest.mark.slow
 def test_a_policy_with_a_goal_is_shown_with_its_goals():
     performance = demo.perform("g1_velocity", 0.3)
     assert len(performance.tracks) == 3

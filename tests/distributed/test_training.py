@@ -18,6 +18,8 @@ from tests.distributed.job import AGENTS, WITH_FIRST_STEP
 from tests.learning.test_resuming import assert_same
 from tests.tiny import CONFIG, NOT_MEASURED
 
+pytestmark = pytest.mark.slow
+
 REPOSITORY = Path(__file__).parents[2]
 NAMES = [*AGENTS, "hrl"]
 
@@ -107,7 +109,6 @@ ANT = ("task=Ant", "num_envs=8", "train.params.config.horizon_length=4", "max_it
         (ANT, "torchrun has started 2 processes, but multi_gpu is False"),
     ],
 )
-@pytest.mark.slow
 def test_a_mistake_is_one_line_of_one_process(words, message, tmp_path):
     done = torchrun(TRAIN, *words, folder=tmp_path)
     errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
@@ -144,11 +145,7 @@ train.main()
 @pytest.mark.parametrize(
     ("what", "message"),
     [
-        pytest.param(
-            "settings",
-            "rank 1 has another setting than rank 0: train.params.config.gamma='0.5'",
-            marks=pytest.mark.slow,
-        ),
+        ("settings", "rank 1 has another setting than rank 0: train.params.config.gamma='0.5'"),
         ("leaves", "rank 0: another process of this training ended; read its error"),
     ],
 )
@@ -164,7 +161,6 @@ def test_a_process_that_differs_or_leaves_ends_all(what, message, tmp_path):
 
 
 @pytest.mark.parametrize("rank", [0, 1])
-@pytest.mark.slow
 def test_a_process_that_never_joins_is_one_line(rank, tmp_path):
     """It was killed while it started."""
     with socket.create_server(("127.0.0.1", 0)) as free:
@@ -186,7 +182,6 @@ def test_a_process_that_never_joins_is_one_line(rank, tmp_path):
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.slow
 def test_a_process_that_is_lost_while_it_writes_leaves_no_state_that_cannot_be_read(tmp_path):
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
@@ -196,7 +191,6 @@ def test_a_process_that_is_lost_while_it_writes_leaves_no_state_that_cannot_be_r
     assert not list(tmp_path.glob("runs/*/resume/*"))
 
 
-@pytest.mark.slow
 def test_episodes_that_end_in_one_process_only_count(tmp_path):
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
@@ -205,7 +199,6 @@ def test_episodes_that_end_in_one_process_only_count(tmp_path):
     assert "episode length 2, reward" in done.stderr
 
 
-@pytest.mark.slow
 def test_several_processes_go_on_exactly_and_others_do_too(tmp_path):
     """Four epochs at once, and two and two; and three of one process after two."""
     words = (*ANT, NOT_MEASURED, "multi_gpu=True", "task.env.episodeLength=5")

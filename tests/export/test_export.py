@@ -93,6 +93,7 @@ def test_an_export_that_differs_is_not_left_behind(checkpoint, tmp_path, monkeyp
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_the_file_earns_what_the_player_earns(
     project, checkpoint, tmp_path, monkeypatch, caplog
 ) -> None:

@@ -32,7 +32,8 @@ def write(player: Any, name: str, folder: Path) -> tuple[PolicyGraph, Path]:
 @pytest.mark.parametrize(
     ("name", "kind"),
     [
-        *(("onnx", kind) for kind in ("lstm", "sac", "hrl")),
+        ("onnx", "sac"),
+        *(pytest.param("onnx", kind, marks=pytest.mark.slow) for kind in ("lstm", "hrl")),
         *(("torchscript", kind) for kind in ("gru", "lstm_apart", "amp", "gen_amp", "hrl")),
     ],
 )

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.checkpoints.training_state import read_training_state
-from tests.tiny import CONFIG, TINY_AMP, TINY_LSTM, TINY_PPO, TINY_SAC, TINY_STYLE
+from tests.tiny import CONFIG, TINY_AMP, TINY_LSTM, TINY_PPO, TINY_SAC, TINY_STYLE, fast_and_slow
 from tests.tiny import train_in as train
 
 # Enough rows for several slices in the rollout and in the update, and layers that torch's own
@@ -46,11 +46,12 @@ def assert_same_bits(folder: Path, words: Sequence[str]) -> None:
     assert not [name for name, value in one.items() if not torch.equal(value, other[name])]
 
 
-@pytest.mark.parametrize("words", AGENTS.values(), ids=AGENTS)
+@pytest.mark.parametrize("words", fast_and_slow(AGENTS, "ppo", "amp"))
 def test_threads_do_not_change_a_bit(words, tmp_path):
     assert_same_bits(tmp_path, words)
 
 
+@pytest.mark.slow
 def test_threads_do_not_change_a_bit_of_a_hierarchy(tmp_path):
     words = ["task=HumanoidASE", *TINY_AMP, *TINY_STYLE, "max_iterations=1"]
     low = train(tmp_path, words)

@@ -250,6 +250,7 @@ def test_a_checkpoint_holds_the_high_level_only_and_plays(llc, make_agent, make_
     assert player.result.reward == pytest.approx(player.result.steps)
 
 
+@pytest.mark.slow
 def test_a_checkpoint_knows_its_low_level(llc, make_agent, make_runner, tmp_path, caplog):
     agent = make_agent(*overrides(llc, "max_iterations=1"))
     agent.train()

@@ -142,10 +142,15 @@ SMALL_AMP = {
         ("CartpolePPO", "Cartpole", {}),
         ("AntSAC", "Ant", {"replay_buffer_size": 1000}),
         ("HumanoidAMPPPO", "HumanoidAMP", SMALL_AMP),
-        ("RobotAMPPPO", "RobotAMP", SMALL_AMP),
-        ("HumanoidASEPPO", "HumanoidASE", SMALL_AMP),
         ("HumanoidASETaskPPO", "HumanoidHeading", {}),
-        ("HumanoidASEHRLPPO", "HumanoidHeading", {}),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in (
+                ("RobotAMPPPO", "RobotAMP", SMALL_AMP),
+                ("HumanoidASEPPO", "HumanoidASE", SMALL_AMP),
+                ("HumanoidASEHRLPPO", "HumanoidHeading", {}),
+            )
+        ),
     ],
 )
 def test_files_train_as_they_are_read(file, task, more: dict[str, Any], tmp_path):
@@ -155,6 +160,7 @@ def test_files_train_as_they_are_read(file, task, more: dict[str, Any], tmp_path
     assert list(tmp_path.glob("*/nn/*.pth"))
 
 
+@pytest.mark.slow
 def test_a_published_file_without_interpolations(tmp_path):
     """ASE's train.py adds device, environments and a seed in place of -1, which numpy refuses."""
     loaded = read_train_file("HumanoidAMPPPO")
@@ -167,6 +173,7 @@ def test_a_published_file_without_interpolations(tmp_path):
     assert agent.vec_env.env.num_envs == 8
 
 
+@pytest.mark.slow
 def test_agents_of_rl_games_itself_take_our_files(tmp_path):
     """They refuse the text `auto` of `mixed_precision`."""
     register_env()
@@ -180,6 +187,7 @@ def test_agents_of_rl_games_itself_take_our_files(tmp_path):
     assert list(tmp_path.glob("*/nn/*.pth"))
 
 
+@pytest.mark.slow
 def test_skills_and_a_hierarchy_on_a_task_by_its_name(tmp_path):
     """The task has a goal; skills are not rewarded for it, nor observe it."""
     skills = train_own("HumanoidASEPPO", tmp_path / "skills", "HumanoidASE", **SMALL_AMP)

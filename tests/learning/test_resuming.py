@@ -26,7 +26,16 @@ from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.report.scalars import read_scalars
 from isaacgymenvs_lite.runner import run
-from tests.tiny import CONFIG, ONE_THREAD, TINY_AMP, TINY_LSTM, TINY_PPO, TINY_SAC, TINY_STYLE
+from tests.tiny import (
+    CONFIG,
+    ONE_THREAD,
+    TINY_AMP,
+    TINY_LSTM,
+    TINY_PPO,
+    TINY_SAC,
+    TINY_STYLE,
+    fast_and_slow,
+)
 from tests.tiny import train_in as train
 
 SHORT_EPISODES = "task.env.episodeLength=6"
@@ -91,11 +100,12 @@ def check_resuming(folder: Path, words: Sequence[str]) -> Path:
     return stopped
 
 
-@pytest.mark.parametrize("words", AGENTS.values(), ids=AGENTS)
+@pytest.mark.parametrize("words", fast_and_slow(AGENTS, "ppo", "amp", "sac", "lstm"))
 def test_resumed_run_is_the_run_that_never_stopped(words, tmp_path):
     check_resuming(tmp_path, words)
 
 
+@pytest.mark.slow
 def test_hierarchy_resumes_exactly(tmp_path):
     low = train(tmp_path, ["task=HumanoidASE", *TINY_AMP, *TINY_STYLE, "max_iterations=1"])
     high = (
@@ -271,6 +281,7 @@ LOOKED_ON = {"viewer": "web", "headless": False, "capture_video": True}
 SENT_AWAY = {"wandb_activate": True, "wandb_entity": "stranger", "wandb_logcode_dir": "/"}
 
 
+@pytest.mark.slow
 def test_a_run_does_not_decide_who_looks_on_and_what_is_sent_away(stopped, monkeypatch, caplog):
     monkeypatch.setattr("isaacgymenvs_lite.config.launch.require", lambda *_, **__: None)
     caplog.set_level(logging.INFO)

@@ -124,6 +124,7 @@ def test_a_run_goes_on_with_its_temperature(trained, make_classic_agent, tmp_pat
     assert not any(map(torch.equal, before, resumed.model.sac_network.actor.parameters()))
 
 
+@pytest.mark.slow
 def test_what_is_saved_is_what_plays(trained, make_classic_runner, tmp_path: Path) -> None:
     trained.save(str(tmp_path / "saved"))
     load_checkpoint(tmp_path / "saved.pth")  # without running code

@@ -93,6 +93,7 @@ def test_without_normalised_inputs_or_drives(make_agent, caplog, words):
 ASE_WARM = ("task=HumanoidASE", "train=HumanoidASEPPO", *WARM, f"{CONFIG}.minibatch_size=16")
 
 
+@pytest.mark.slow
 def test_skills_are_taught_under_the_latents_of_the_clips(make_agent, caplog):
     caplog.set_level(logging.INFO)
     many = (f"{CONFIG}.amp_obs_demo_buffer_size=400", f"{CONFIG}.amp_minibatch_size=64")

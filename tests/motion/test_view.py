@@ -13,6 +13,7 @@ from isaacgymenvs_lite.motion import strip, view
 from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("gl")
 def test_a_clip_becomes_a_video_without_a_display(walk_clip, tmp_path, monkeypatch):
     monkeypatch.setattr(view, "WIDTH", 120)

@@ -156,6 +156,7 @@ def test_the_first_of_several_processes_decides_for_all():
     assert not Path("runs").exists()
 
 
+@pytest.mark.slow
 def test_a_broken_file_during_a_training_is_left_out(caplog):
     run(compose(GOOD))
     file = Path("runs/ws/000/000001.yaml")
@@ -240,6 +241,7 @@ def test_scalars_show_the_settings():
     assert scalars[f"pbt/{RATE}"].values[0] == pytest.approx(record(0, 1)["params"][RATE])
 
 
+@pytest.mark.slow
 def test_amp_and_sac_are_policies_too(walk_clip):
     debugged = ("pbt.num_policies=1", "pbt.dbg_mode=True", "pbt.mutation_rate=1")
     times = ("pbt.interval_steps=64", "pbt.start_after=0", "pbt.initial_delay=0")

@@ -94,6 +94,7 @@ def add_video(run: Path, name: str, content: bytes, mtime: int) -> None:
     os.utime(file, (mtime, mtime))
 
 
+@pytest.mark.slow
 def test_the_last_video_is_embedded_unless_it_is_large(make_run, monkeypatch) -> None:
     run = make_run(AMP)
     add_video(run, "step-200.mp4", b"newer", 2000)

@@ -22,7 +22,7 @@ from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 from isaacgymenvs_lite.config.compose import compose, explain
 from isaacgymenvs_lite.config.staging import StagedFiles
 from isaacgymenvs_lite.errors import MotionFileError, SweepError
-from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, train_in
+from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, fast_and_slow, train_in
 from tests.train_command import make_train_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -152,7 +152,9 @@ def networks_of(run: Path) -> dict[str, torch.Tensor]:
     return load_checkpoint(newest)["model"]
 
 
-@pytest.mark.parametrize("words", [CARTPOLE, ("task=HumanoidAMP", *TINY_AMP)], ids=["ppo", "amp"])
+@pytest.mark.parametrize(
+    "words", fast_and_slow({"ppo": CARTPOLE, "amp": ("task=HumanoidAMP", *TINY_AMP)}, "ppo")
+)
 def test_a_job_trains_what_a_run_of_its_own_trains(words, train_here, tmp_path):
     """The job before it leaves nothing behind, deterministic algorithms included."""
     deterministic = torch.are_deterministic_algorithms_enabled()
@@ -233,6 +235,7 @@ def test_a_missing_plugin_names_the_extra():
     assert message.endswith('[sweep]"')
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("optuna")
 def test_a_study_finds_the_best_value(call, jobs, tmp_path):
     jobs.results = {seed: -float((seed - 7) ** 2) for seed in range(11)}
@@ -242,6 +245,7 @@ def test_a_study_finds_the_best_value(call, jobs, tmp_path):
     assert jobs.directions == {"maximize"}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("optuna")
 def test_failed_trials_do_not_end_a_study(call, jobs, capsys, tmp_path):
     jobs.results = {1: MotionFileError("walk.npy: truncated"), 2: None}
@@ -272,6 +276,7 @@ def test_the_study_of_cfg_also_with_a_train_file_from_outside(call, jobs, tmp_pa
     assert 0.1 <= best(tmp_path)["best_params"][f"{CONFIG}.disc_grad_penalty"] <= 10
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("optuna")
 def test_a_study_by_pose_error(train_here, walk_clip, tmp_path, capsys):
     words = ["task=HumanoidAMP", f"task.env.motion_file={walk_clip}", "task.env.episodeLength=6"]

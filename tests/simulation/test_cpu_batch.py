@@ -213,6 +213,7 @@ def test_an_unknown_backend_lists_the_choices() -> None:
         make_simulation(model, 1, 1, backend="cpu_bach")
 
 
+@pytest.mark.slow
 def test_backends_are_imported_only_when_asked_for() -> None:
     code = (
         "import sys, isaacgymenvs_lite.simulation.backend;"

@@ -93,6 +93,7 @@ def _train(package: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_the_guides_task_trains_as_an_external_package(package: Path) -> None:
     words = ("task=SwingUp", "num_envs=16", "max_iterations=2", "num_threads=1")
     done = _train(package, "--config-dir", str(package / "cfg"), *words)

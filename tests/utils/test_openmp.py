@@ -41,6 +41,7 @@ def test_what_the_user_says_stays(variables: dict[str, str], policy: str):
     assert said(code, **variables) == f"False\n{policy}"
 
 
+@pytest.mark.slow
 def test_after_torch_nothing_is_set_and_it_is_known():
     code = f"import torch, isaacgymenvs_lite.utils.openmp as o; print(o.threads_spin()); {POLICY}"
     assert said(code) == "True\nNone"

@@ -121,6 +121,7 @@ time.sleep(600)
 """
 
 
+@pytest.mark.slow
 def test_the_page_ends_when_the_task_is_killed(tmp_path, monkeypatch):
     """Also while a process that the task has forked holds the task's files."""
     script = tmp_path / "script.py"
@@ -150,6 +151,7 @@ def test_the_task_goes_on_when_its_page_is_killed(env, page, caplog):
     assert "ended (Killed); the run goes on" in warning
 
 
+@pytest.mark.slow
 def test_the_task_does_not_wait_for_a_page_that_hangs(env, page):
     os.kill(page.process.pid, signal.SIGSTOP)
     for _ in range(2000):
@@ -192,6 +194,7 @@ def press(browser: Browser, env, key: str, code: str, number: int) -> None:
         browser.call("Input.dispatchKeyEvent", type="keyUp", **about)
 
 
+@pytest.mark.slow
 def test_a_play_goes_on_until_ctrl_c(tmp_path):
     words = ["task=Cartpole", "test=True", "num_envs=2", "viewer=web", "viewer_port=0"]
     words += ["num_threads=1", "+train.params.config.player.games_num=2"]

@@ -96,6 +96,7 @@ env.close()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("gl", "display")
 def test_a_window_shows_records_and_ends(tmp_path):
     """In a process of its own: GLFW does not let go of a display."""

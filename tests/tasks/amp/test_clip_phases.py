@@ -258,6 +258,7 @@ def is_off_tempo(tempo: float, share: float = 0.3) -> list[bool]:
     return found
 
 
+@pytest.mark.slow
 def test_the_tempo_of_an_episode_may_be_off_up_to_a_limit() -> None:
     for tempo, expected in [(0.7, True), (0.85, False), (1.2, False), (1.4, True)]:
         found = is_off_tempo(tempo)

@@ -62,6 +62,7 @@ def test_an_episode_ends_where_it_strays_from_the_clip_that_it_started_in(make_h
     assert _zero_step(task)[2].tolist() == [0, 0, 0, 0]
 
 
+@pytest.mark.slow
 def test_it_goes_on_where_straying_does_not_count(make_humanoid) -> None:
     for env, is_training in [
         ({}, True),  # off where the task is made without the YAML file
@@ -114,6 +115,7 @@ def _put_into_clip(task: HumanoidAMP, env_ids: Tensor) -> None:
     task.simulation.write_state(env_ids, root, dof_pos, dof_vel)
 
 
+@pytest.mark.slow
 def test_an_episode_ends_with_a_clip_that_does_not_return(
     make_humanoid, rising_clip: str, caplog
 ) -> None:

@@ -143,6 +143,7 @@ def test_a_trunk_on_the_floor_is_a_fall_and_thighs_that_touch_are_none(make_walk
     assert fell.tolist() == [True, False]
 
 
+@pytest.mark.slow
 def test_a_key_that_fits_no_robot(make_walker):
     for env, message in [
         ({"contactBodies": "[hand]"}, r"task.env.contactBodies.*hand"),

@@ -111,6 +111,7 @@ def test_values_of_the_file_are_the_defaults_in_the_code() -> None:
     }
 
 
+@pytest.mark.slow
 def test_skills_are_learned_on_a_cpu_in_short_episodes_and_played_in_long_ones() -> None:
     for task in ["HumanoidASE", "HumanoidASEGetup"]:
         learned, played = (
