@@ -116,7 +116,7 @@ def test_the_style_reward_of_each_player(algo, cls, kind, make_runner):
 def test_a_player_that_the_file_names_is_not_taken_and_said_so(make_runner, caplog):
     with caplog.at_level(logging.INFO):
         runner = make_runner(f"+{CONFIG}.player.class_name=MyPlayer")
-    note = "player.class_name=MyPlayer has no effect: algo.name chooses"
+    note = "player.class_name=MyPlayer has no effect: the player is the class"
     assert caplog.text.count(note) == 1
     caplog.clear()
     with caplog.at_level(logging.INFO):

@@ -174,7 +174,7 @@ def test_last_finds_what_was_rescued(open_run, tmp_dir, tmp_path, caplog):
     assert not folder.save_failed
     assert resolve_checkpoint("last", runs, "Ant") == str(rescued)
     assert f"checkpoint=last uses the rescued checkpoint {rescued}" in caplog.text
-    with pytest.raises(CheckpointError, match="there are some of task=Ant"):
+    with pytest.raises(CheckpointError, match="there are checkpoints of task=Ant"):
         resolve_checkpoint("last", runs, "Humanoid")
     # A newer one in the run folder wins.
     folder.checkpoints.unlink()

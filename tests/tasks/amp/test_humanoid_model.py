@@ -260,7 +260,7 @@ def test_a_missing_asset_lists_what_is_shipped(tmp_path: Path) -> None:
 
 def test_a_broken_asset_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "broken.xml").write_text("<mujoco>\n<worldbody>\n<body></mujoco>")
-    with pytest.raises(ConfigError, match=r"broken\.xml: is no XML") as error:
+    with pytest.raises(ConfigError, match=r"broken\.xml is not valid XML") as error:
         _build({"asset": {"assetFileName": "broken.xml", "assetRoot": str(tmp_path)}})
     assert "\n" not in str(error.value)
 
