@@ -120,6 +120,7 @@ def test_nor_does_a_discriminator_see_it(words, make_agent) -> None:
     assert len(rows) == 2 * 8 * 4 - 2  # epochs, environments, steps
 
 
+@pytest.mark.slow
 def test_nor_does_a_high_level(make_agent: Callable[..., Any], tmp_path: Path) -> None:
     llc = train_low_level(make_agent, tmp_path)
     results = []

@@ -29,15 +29,27 @@ def save_train_file(agent: Any, file: Path) -> None:
     OmegaConf.save(OmegaConf.create({"params": params}), file)
 
 
+_trained: dict[tuple[str, ...], tuple[Any, bytes, bytes]] = {}
+
+
 def train_low_level(
     make_agent: Callable[..., Any], folder: Path, *more: str
 ) -> tuple[Any, str, str]:
-    """Return a GenAMP agent after two epochs, its train file and its checkpoint."""
-    agent = make_agent(*GEN_AMP, "max_iterations=2", f"{CONFIG}.learning_rate=1e-3", *more)
-    agent.train()
-    agent.save(str(folder / "llc"))
-    save_train_file(agent, folder / "llc.yaml")
-    return agent, str(folder / "llc.yaml"), str(folder / "llc.pth")
+    """Return a GenAMP agent after two epochs, its train file and its checkpoint.
+
+    A process trains it once; every test gets its own files.
+    """
+    file, checkpoint = folder / "llc.yaml", folder / "llc.pth"
+    if more not in _trained:
+        agent = make_agent(*GEN_AMP, "max_iterations=2", f"{CONFIG}.learning_rate=1e-3", *more)
+        agent.train()
+        agent.save(str(folder / "llc"))
+        save_train_file(agent, file)
+        _trained[more] = agent, file.read_bytes(), checkpoint.read_bytes()
+    agent, *contents = _trained[more]
+    for path, content in zip((file, checkpoint), contents, strict=True):
+        path.write_bytes(content)
+    return agent, str(file), str(checkpoint)
 
 
 @pytest.fixture
@@ -109,6 +121,7 @@ def test_the_low_level_acts_as_the_policy_that_was_trained(agent, llc):
     torch.testing.assert_close(agent.llc.style_reward(amp_obs), expected, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation", [0.0, 0.9])
 def test_exploration_may_last(correlation, llc, make_agent, roll_out):
     more = (f"+{CONFIG}.exploration_correlation={correlation}", f"{CONFIG}.horizon_length=32")

@@ -14,7 +14,7 @@ from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.errors import ConfigError, NotFiniteError
 from isaacgymenvs_lite.learning.sac import SACAgent
 from tests.learning.test_hrl import llc  # noqa: F401  a fixture
-from tests.learning.test_restoring import CONFIG, KINDS, PPO, make  # noqa: F401  a fixture
+from tests.learning.test_restoring import CONFIG, EACH_KIND, PPO, make  # noqa: F401  a fixture
 
 _EVERY_EPOCH = f"{CONFIG}.save_frequency=1"
 
@@ -80,7 +80,7 @@ def test_a_policy_that_can_draw_no_action_is_explained(make):  # noqa: F811
         agent.train()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EACH_KIND)
 def test_a_reward_that_is_nan_ends_the_training(kind, make):  # noqa: F811
     agent = make(kind, "max_iterations=6", _EVERY_EPOCH)
     steps = agent.num_steps_per_episode if kind == "sac" else agent.horizon_length
@@ -120,7 +120,7 @@ def test_the_last_observation_of_a_rollout_counts(make):  # noqa: F811
         agent.train()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EACH_KIND)
 def test_networks_that_break_are_not_saved(kind, make):  # noqa: F811
     """In the last update of epoch 2: rl_games would save them, as the periodic checkpoint."""
     agent = make(kind, "max_iterations=4", _EVERY_EPOCH)
@@ -168,7 +168,7 @@ def test_large_numbers_are_finite(make):  # noqa: F811
     assert set(files(agent)) == {"large.pth"}
 
 
-@pytest.mark.parametrize("kind", ["ppo", "amp", "gen_amp", "hrl", "sac"])
+@pytest.mark.parametrize("kind", [each for each in EACH_KIND if each.id != "asymmetric"])
 def test_periodic_checkpoints_do_not_wait_for_the_first_episode(kind, make):  # noqa: F811
     # Too few steps for a pole to fall, and a floor that nobody falls to.
     more = {

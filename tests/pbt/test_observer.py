@@ -92,6 +92,7 @@ def test_the_worse_policy_goes_on_with_the_weights_of_the_better_one():
     assert re.fullmatch(r"Ant_best_obj_0{7,}\d\.\d{5}_iter_0001_policy000_frame128\.pth", best.name)
 
 
+@pytest.mark.slow
 def test_mutations_depend_on_the_seed_and_the_policy_alone():
     def rate(seed: int, index: int, workspace: str) -> float:
         words = [f"seed={seed}", f"pbt.policy_idx={index}", f"pbt.workspace={workspace}"]
@@ -105,6 +106,7 @@ def test_mutations_depend_on_the_seed_and_the_policy_alone():
     assert all(3e-4 / 1.5 <= rate <= 3e-4 * 1.5 for rate in rates)
 
 
+@pytest.mark.slow
 def test_a_run_that_is_resumed_stays_in_its_population(caplog):
     run(compose([*BAD, "max_iterations=4", f"{CONFIG}.save_frequency=2"]))
     rate = OmegaConf.select(OmegaConf.load(run_of(1) / "config.yaml"), RATE)

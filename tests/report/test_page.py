@@ -82,7 +82,7 @@ def test_charts_have_the_scalars_that_the_run_has(make_run) -> None:
     assert charts["Pose error, m"]["mean policy"].values.tolist() == [0.25, 0.125, 0.0625]
 
 
-@pytest.mark.parametrize("config", ["task: [", "just text", "[" * 5000, "task: {name: !!x 1}"])
+@pytest.mark.parametrize("config", ["task: [", "[" * 5000])
 def test_a_damaged_configuration_is_shown_as_it_is(config, make_run) -> None:
     assert Page(write_report(make_run(AMP, config=config))).config == config
 

@@ -258,6 +258,7 @@ def test_failed_trials_do_not_end_a_study(call, jobs, capsys, tmp_path):
     assert shown[-1] == f"error: {count(1) + count(2)} of 8 jobs failed"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("optuna")
 def test_a_study_in_the_wrong_direction_ends_at_once(call, jobs, capsys):
     jobs.results = dict.fromkeys(range(3), SweepError("hydra.sweeper.direction=maximize: no"))

@@ -11,11 +11,12 @@ import pytest
 
 from isaacgymenvs_lite.workflows.__main__ import main
 from isaacgymenvs_lite.workflows.library import LIBRARIES
+from tests.tiny import fast_and_slow
 
 Command = Callable[..., str]
 
 
-@pytest.fixture(params=sorted(LIBRARIES))
+@pytest.fixture(params=fast_and_slow({name: name for name in LIBRARIES}, "sb3"))
 def library(request: pytest.FixtureRequest) -> str:
     """Each library that is installed."""
     if importlib.util.find_spec(LIBRARIES[request.param]) is None:

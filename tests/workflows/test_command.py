@@ -79,7 +79,11 @@ def test_a_wrong_key_is_one_line():
             "task=Ant real_time=True",
             "real_time=True: this setting does not apply to another library's",
         ),
-        ("train", "task=Ant Cartpole", "Cartpole: this setting does not apply to another library's agent"),
+        (
+            "train",
+            "task=Ant Cartpole",
+            "Cartpole: this setting does not apply to another library's agent",
+        ),
         ("train", "task=Ant experiment=mine", "expected agent, checkpoint, log_interval, logs,"),
         ("train", "task=Ant logs={", "logs={: a value is not valid YAML"),
     ]:
