@@ -46,7 +46,7 @@ def test_mistakes():
     for name, clip, message in [
         ("wallk", None, "unknown experiment 'wallk' .did you mean 'walk'"),
         ("walk+fp23", None, "unknown variant 'fp23' .did you mean 'fp32'"),
-        ("walk_mocap", None, "'walk_mocap' needs its clip: --motion-file PATH"),
+        ("walk_mocap", None, "'walk_mocap' needs its clip; add --motion-file PATH"),
         ("walk_mocap", "absent.npy", "--motion-file absent.npy: no such file"),
     ]:
         with pytest.raises(ConfigError, match=message):

@@ -95,7 +95,7 @@ def test_getting_up(runs, tmp_path, capsys) -> None:
     found = measured(runs, tmp_path, "getup", "getup", "task.env.episodeLength=95")
     assert found["got_up_share"] == 0.0  # nobody gets up by chance
     assert "getup seed 1: got up within 3 s" in capsys.readouterr().out
-    with pytest.raises(SystemExit, match="HumanoidASE never lies"):
+    with pytest.raises(SystemExit, match="HumanoidASE never starts on the ground"):
         hierarchy.main(["getup", "skills", "--runs-dir", str(runs)])
 
 

@@ -32,7 +32,7 @@ def test_mistakes_show_before_anything_starts(tmp_path, monkeypatch):
         (["walk_mocap"], "error: the experiment 'walk_mocap' needs its clip"),
         (["walk", "--motion-file", "x.npy"], "error: --motion-file has no effect"),
         (["walk", "--parallel", "999"], "error: --parallel 999"),
-        (["clips", "walk"], "error: clips has folders of its own"),
+        (["clips", "walk"], "error: clips has separate folders"),
         (["walk", "--clips", "run"], "error: --clips has no effect"),
         (["clips", "--clips", "/nowhere/x"], "error: motion file '/nowhere/x' not found"),
     ]:

@@ -98,7 +98,8 @@ def test_every_policy_starts_from_the_same_states(trained, walk_clip, tmp_path, 
 
 
 def test_record_of_a_run(trained, tmp_path, capsys):
-    (record,) = command.evaluate_and_report([trained], results_dir=tmp_path)
+    record = command.measure(trained)
+    command.keep(record, tmp_path)
     assert (record.experiment, record.seed, record.run) == ("walk", 5, "walk_seed5")
     assert (record.frames, record.epoch) == (32, 2)
     assert record.minutes is not None and 0.0 < record.minutes < 1.0
