@@ -31,28 +31,6 @@ _PASSES = 4
 _PAD = 2  # additional frames at both ends for central differences
 
 
-@dataclass(frozen=True, eq=False)
-class Cycle:
-    """N poses of one cycle; each later cycle is displaced by the stride.
-
-    Attributes:
-        root_translation: (N, 3) m.
-        local_rotation: (N, J, 4) xyzw.
-        stride_m: displacement along x.
-    """
-
-    root_translation: FloatArray
-    local_rotation: FloatArray
-    stride_m: float
-
-    def frames(self, first: int, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return root positions and local rotations of `count` frames; `first` may be negative."""
-        cycles, rows = np.divmod(np.arange(first, first + count), len(self.root_translation))
-        root = self.root_translation[rows].copy()
-        root[:, 0] += cycles * self.stride_m
-        return root, self.local_rotation[rows]
-
-
 def generate(gait: Gait, num_cycles: int, fps: int = FPS) -> MotionClip:
     """Make a clip of `num_cycles` cycles plus the first frame of the next cycle.
 
@@ -65,14 +43,16 @@ def generate(gait: Gait, num_cycles: int, fps: int = FPS) -> MotionClip:
         ValueError: the number of frames of a cycle is odd, therefore left and right cannot match.
     """
     skeleton = Skeleton.from_mjcf(paths.assets_dir() / MODEL)
-    cycle = solve_cycle(gait, skeleton, fps)
-    count = num_cycles * len(cycle.root_translation) + 1
-    root, local = cycle.frames(-_PAD, count + 2 * _PAD)
-    return clip_from_poses(gait.name, fps, skeleton, root, local, _PAD)
+    cycle_root, cycle_local = solve_cycle(gait, skeleton, fps)
+    frames = np.arange(-_PAD, num_cycles * len(cycle_root) + 1 + _PAD)
+    cycles, rows = np.divmod(frames, len(cycle_root))
+    root = cycle_root[rows]
+    root[:, 0] += cycles * gait.stride_m
+    return clip_from_poses(gait.name, fps, skeleton, root, cycle_local[rows], _PAD)
 
 
-def solve_cycle(gait: Gait, skeleton: Skeleton, fps: int) -> Cycle:
-    """Plan one cycle and solve its poses; the root starts at x = 0."""
+def solve_cycle(gait: Gait, skeleton: Skeleton, fps: int) -> tuple[FloatArray, FloatArray]:
+    """Return root positions (n, 3) in m and local rotations (n, J, 4) of one cycle from x = 0."""
     frames = round(gait.period_s * fps)
     if frames % 2 or abs(frames - gait.period_s * fps) > 1e-6:
         raise ValueError(
@@ -98,8 +78,7 @@ def solve_cycle(gait: Gait, skeleton: Skeleton, fps: int) -> Cycle:
             [solver.solve(targets[i], com[i], [foot[i] for foot in feet]) for i in range(frames)]
         )
     root, local = poses_from_qpos(skeleton, solved)
-    root = root - root[0] * (1.0, 0.0, 0.0)
-    return Cycle(root, local, gait.stride_m)
+    return root - root[0] * (1.0, 0.0, 0.0), local
 
 
 def _foot_frames(feet: FootPlan, phase: FloatArray, side: float) -> FloatArray:

@@ -57,13 +57,6 @@ class MovePlan:
         times_s = np.arange(first, round(end_s * _RATE) + 1) / _RATE
         return cls(move, path, plan_feet(move, path, leg), leg, times_s)
 
-    def pressure(self) -> FloatArray:
-        """Return the planned centre of pressure (n, 2) m."""
-        move = self.move
-        turns = 2.0 * np.pi * self.times_s / move.sway_s
-        forward, left = move.sway_m[0] * np.sin(2.0 * turns), move.sway_m[1] * np.sin(turns)
-        return pressure_path(self.tracks, self.times_s) + np.stack((forward, left), axis=-1)
-
     def com(self, hip_from_com: FloatArray, shift: FloatArray) -> FloatArray:
         """Return the path (n, 3) m of the centre of mass.
 
@@ -71,11 +64,13 @@ class MovePlan:
             hip_from_com: (n, 2, 3) m, from the centre of mass to both hips.
             shift: (n, 2) m^2/s^2, see `plan_com`.
         """
-        step_s = 1.0 / _RATE
+        move, step_s = self.move, 1.0 / _RATE
         ankles = np.stack([track.poses(self.times_s)[:, :3] for track in self.tracks], axis=1)
-        knee_deg = ease(self.move.straightest_knee, self.times_s)[:, 0]
+        knee_deg = ease(move.straightest_knee, self.times_s)[:, 0]
         reach_m = self.leg.reach(np.radians(knee_deg))
-        pressure = self.pressure()
+        turns = 2.0 * np.pi * self.times_s / move.sway_s
+        sway = (move.sway_m[0] * np.sin(2.0 * turns), move.sway_m[1] * np.sin(turns))
+        pressure = pressure_path(self.tracks, self.times_s) + np.stack(sway, axis=-1)
         height = reach_m
         com = np.zeros((len(height), 3))
         for _ in range(_HEIGHT_STEPS):
