@@ -4,8 +4,8 @@
     python -m benchmarks.clips [--clips deepmimic shipped PATH ...]
 
 The first command trains one clip after the other with the same settings and the same time limit. It
-writes a record after each clip. With `--resume` it continues a stopped series. `--until-learned`
-ends a clip's training early when two measurements in a row count as learned, see
+writes a record after each clip. With `--resume` it continues stopped trainings. `--until-learned`
+ends a clip's training early when two measurements in a row are good, see
 `benchmarks.learned`. The second command prints the table of all clips, also of clips without a
 record. A cell for several seeds holds the median, then the lowest and the highest value. Without
 `--clips` both commands take the 20 DeepMimic clips of the package pybullet and the shipped clips. A
@@ -137,7 +137,7 @@ def table(labels: Sequence[str], records: Mapping[str, Sequence[Record]]) -> str
 
 
 def newest_records(labels: Sequence[str], folder: Path) -> dict[str, list[Record]]:
-    """Return for each clip with records one record a seed, namely the record with most frames."""
+    """Return label -> the record with most frames of each seed; clips without records are left out."""
     found = {}
     for label in labels:
         records = read_records(folder / f"{label}.jsonl")

@@ -3,9 +3,9 @@
     python -m benchmarks.curves TARGET [TARGET ...] --out docs/images/NAME.png
         [--runs-dir runs/benchmarks] [--against minutes|frames] [--returns]
 
-A target is a run folder or the name of an experiment. Thin lines show the seeds, a thick line shows
-their median. `--returns` draws the return of training episodes, with one panel for each experiment.
-Without `--out` the command prints the table only.
+A target is a run folder or the name of an experiment. Thin lines show the seeds, and a thick line
+shows their median. `--returns` draws the return of training episodes, with one panel for each
+experiment. Without `--out` the command prints the table only.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Compares the speed of a task's env.step with the speed of MuJoCo's bare Batch.step.
+"""Compares the speed of a task's env.step with the speed of MuJoCo's raw Batch.step.
 
     python -m benchmarks.env_step [--task HumanoidAMP] [--num-envs 1024] [--threads 2] [--rounds 30]
         [key=value ...]
 
 The time of env.step includes reset_done, actions, physics, observations, AMP history, rewards and
-resets. The bare side is a separate `mujoco.batch.Batch` with the same model, substeps and threads.
+resets. The raw side is a separate `mujoco.batch.Batch` with the same model, substeps and threads.
 Both sides take turns at every step, from the same states and with the same controls. Therefore they
 compute the same physics, and a drift of the machine's speed affects both. Copying the states is not
 timed.
@@ -54,7 +54,7 @@ def main() -> None:
     raw_controls, controls = raw.bind("ctrl"), batch.bind("ctrl")
 
     def round_s() -> tuple[float, float]:
-        """Return the seconds that the task and the bare batch need for one round."""
+        """Return the seconds that the task and the raw batch need for one round."""
         env_s = raw_s = 0.0
         for _ in range(_STEPS_PER_ROUND):
             actions = noise * torch.randn(args.num_envs, env.num_actions)

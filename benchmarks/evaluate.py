@@ -7,8 +7,8 @@ A target is a checkpoint, a run folder (its newest checkpoint), or the name of a
 newest checkpoint of each seed). Each policy plays 32 episodes of up to 300 steps with mean actions,
 one episode in each environment. The episodes start at random phases of the clip, which are the same
 for every policy. `--episodes` sets another number of episodes, because 32 episodes are a rough
-measure: a policy with four falls may fall in 5% or in 20% of its episodes. The command prints one
-line for each policy and the medians over the seeds. `--write` adds the records to
+measure. A policy with four falls of 32 may fall in 5% or in 20% of many episodes. The command
+prints one line for each policy and the medians over the seeds. `--write` adds the records to
 benchmarks/results.
 """
 

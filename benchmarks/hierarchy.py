@@ -72,7 +72,7 @@ class GotUp:
     """Success of a low-level controller at getting up.
 
     Attributes:
-        got_up_share: share of the episodes in which it stands from `GETUP_S` until the end.
+        got_up_share: share of the episodes with a standing humanoid from `GETUP_S` until the end.
     """
 
     got_up_share: float

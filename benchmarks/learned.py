@@ -26,7 +26,7 @@ _PAPER_M = {
 }
 _GOOD_M = 0.06
 _GOOD_NO_FALL = 0.9
-# A standing policy shows a tenth of a moving clip's motion, a policy at half tempo about a half.
+# A standing policy shows about 0.1 of a moving clip, a policy with tempo 0.5 shows about 0.5.
 _GOOD_SHOWN = 0.5
 _GOOD_TEMPO = (0.6, 1.5)
 _IN_A_ROW = 2
@@ -53,7 +53,7 @@ def has_learned(label: str, curve: LearningCurve) -> bool:
 
 
 def first_learned(label: str, curve: LearningCurve) -> tuple[float, float] | None:
-    """Return (frames, minutes) of the second of the first two good measurements in a row."""
+    """Return frames and minutes when two measurements in a row were good for the first time."""
     good = _good_measurements(label, curve)
     (rows,) = np.nonzero(good[1:] & good[:-1])
     if len(rows) == 0:

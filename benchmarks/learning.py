@@ -10,7 +10,7 @@ Each seed is one `train.py` process with its own run folder, `<experiment>_seed<
 by frames, not by minutes. A run saves a checkpoint and ends when its minutes are over or at Ctrl-C.
 `--resume` continues a run, and the minutes of all its parts are added. After a run its policy is
 played and the result is added to benchmarks/results/<experiment>.jsonl. `benchmarks.evaluate` plays
-policies that imitate clips, `benchmarks.returns` plays policies of the classic tasks.
+policies that imitate clips, and `benchmarks.returns` plays policies of classic tasks.
 
 `clips` stands for one experiment for each clip. Its default seed is 1, and it has separate folders.
 `benchmarks.clips` prints the table of its results. See also docs/protocol.md.
@@ -109,9 +109,7 @@ def _plans(args: argparse.Namespace) -> list[Plan]:
     if not names:
         raise ConfigError("give an experiment; benchmarks/experiments.yaml lists all experiments")
     if args.motion_file and not any(needs_motion_file(name) for name in names):
-        raise ConfigError(
-            f"--motion-file has no effect for {', '.join(names)}; leave it out, their clips are set"
-        )
+        raise ConfigError(f"--motion-file has no effect for {', '.join(names)}; leave it out")
     for word, given in (("--clips", bool(clips)), ("--until-learned", args.until_learned)):
         if given and CLIPS not in names:
             raise ConfigError(

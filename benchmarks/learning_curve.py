@@ -27,7 +27,7 @@ TAGS = {
     "disc_demo_logit": ("info/disc_demo_logit",),
     "episode_return": ("rewards/frame", "rewards/step"),
 }
-"""The table maps names of curves to the scalars of our agents, then of rl_games' agents."""
+"""The table maps each curve to the tag of our agents, then to the tag of rl_games' agents."""
 # In a resumed run all episodes begin together, so short episodes end first and long ones together.
 # The means of finished episodes are biased for about this many full episodes.
 _UNEVEN_EPISODES = 2
@@ -35,7 +35,7 @@ _UNEVEN_EPISODES = 2
 
 @dataclass(frozen=True)
 class LearningCurve:
-    """The scalars of `TAGS` over a training, which may be empty; see `read_scalars`.
+    """The scalars of `TAGS` over a training; a scalar may have no values. See `read_scalars`.
 
     Attributes:
         series: name -> scalar.

@@ -1,4 +1,4 @@
-"""Command line, checkpoints and result lines of the benchmarks that play policies."""
+"""Shares command line, checkpoints and results between the benchmarks that play policies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fixed evaluation protocol, which plays a checkpoint and measures its motion."""
+"""Plays a checkpoint by the fixed evaluation protocol and measures its motion."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ IMITATION_SETTINGS = {
     "task.env.stateInit": "Random",
     "task.env.enableEarlyTermination": True,
 }
-"""These settings hold for policies that imitate clips, as path in the tree -> value."""
+"""Policies that imitate clips are played with these settings (path in the tree -> value)."""
 
 
 @dataclass(frozen=True)

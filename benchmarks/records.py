@@ -1,4 +1,4 @@
-"""Records of the fixed protocol, one for each policy, with their medians, files and tables."""
+"""Collects results of the fixed protocol in records, and prints their medians and tables."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from benchmarks import tables
 from benchmarks.runs import plain
 
 GOOD_EPISODE_STEPS = 280
-"""A policy with this mean episode length in training counts as stable; full episodes have 300."""
+"""A policy counts as stable at this mean episode length in training; the limit is 300 steps."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +201,7 @@ def write_records(records: Iterable[Record], folder: Path) -> list[Path]:
 
 
 def read_records(file: Path) -> list[Record]:
-    """Read the records of a file without unknown keys; a missing file has no records."""
+    """Read the records of a file and ignore unknown keys; a missing file has no records."""
     names = {column.name for column in fields(Record)}
     rows = filter(_is_record, _rows(file))
     return [Record(**{key: row[key] for key in names & row.keys()}) for row in rows]

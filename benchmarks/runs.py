@@ -1,4 +1,4 @@
-"""Run folders of benchmarks, `<runs_dir>/<experiment>_seed<n>`, with a log of their starts."""
+"""Finds run folders of benchmarks, `<runs_dir>/<experiment>_seed<n>`, and logs their starts."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Run:
 
     @classmethod
     def at(cls, folder: Path) -> Run:
-        """Return the run of a run folder with any name.
+        """Return the run in a folder of train.py, which may have any name.
 
         Raises:
             CheckpointError: there is no config.yaml.

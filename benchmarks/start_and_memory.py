@@ -41,7 +41,7 @@ def run_humanoid_amp(overrides: Sequence[str]) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Measure both and print the results."""
+    """Measure start time and memory and print them."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--num-envs", type=int, default=4096)
     parser.add_argument("--epochs", type=int, default=18)

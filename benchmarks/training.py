@@ -149,7 +149,7 @@ class Training:
         self._ask_again_s = 0.0
 
     def poll(self, stop: bool) -> int | None:
-        """Return the exit code, None while the process runs.
+        """Return the exit code, or None while the process runs.
 
         The process is asked to end if its time is over, if it may end early, or if `stop` is true.
         """

@@ -9,7 +9,7 @@ The first command trains HumanoidAMP with its default settings for some epochs. 
 - the frames per second of whole epochs,
 - a table with the time of each part of an epoch, measured around the agent's methods,
 - the time of the unavoidable parts, which are timed between the epochs on tensors of the same
-  shapes: bare `Batch.step`, policy outputs, discriminator outputs for the reward, gradient steps,
+  shapes: raw `Batch.step`, policy outputs, discriminator outputs for the reward, gradient steps,
 - the ratio of the training's speed to the speed of the unavoidable parts alone. It is the median
   over the epochs. Each epoch is compared with the parts that are timed right after it.
 
@@ -51,7 +51,7 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 _WARM_UP_EPOCHS = 14  # until the replay buffer is full, which allocates memory
 
-# The timed methods: class, name, row of the table. Time in a nested method counts for it only.
+# The timed methods with their rows of the table. A nested call does not count for the outer call.
 _TIMED: tuple[tuple[type, str, str], ...] = (
     (AMPAgent, "train_epoch", "rest of the epoch"),
     (AMPAgent, "play_steps", "rollout: rest"),

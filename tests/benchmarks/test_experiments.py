@@ -30,7 +30,7 @@ def test_every_experiment_composes(walk_clip):
         if "motion_file" in entry:
             expected = str(walk_clip) if needs_motion_file(name) else entry.motion_file
             assert cfg.task.env.motion_file == expected
-        elif name != "clips":  # one for each clip, see benchmarks.clips
+        elif name != "clips":  # see benchmarks.clips
             assert not needs_motion_file(name)
             assert "motion_file" not in cfg.task.env
 

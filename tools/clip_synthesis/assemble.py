@@ -61,7 +61,7 @@ def foot_frames(position: FloatArray, yaw: FloatArray, pitch: FloatArray) -> Flo
 
 
 def _angular_velocities(turns: FloatArray, fps: float) -> FloatArray:
-    """Return angular velocities (T, J, 3) rad/s in the world, one-sided differences at the ends."""
+    """Return angular velocities (T, J, 3) in rad/s in the world from central differences."""
     q = torch.from_numpy(turns)
     padded = torch.cat((q[:1], q, q[-1:]))
     steps = rotations.quat_mul(padded[2:], rotations.quat_conjugate(padded[:-2]))

@@ -27,7 +27,7 @@ class GaitClip:
         return round(self.gait.period_s * self.fps)
 
 
-# IsaacGymEnvs' clips have 60 frames per second, ASE's clips have 30.
+# IsaacGymEnvs' clips have 60 frames per second, and ASE's clips have 30.
 GAIT_CLIPS: dict[str, GaitClip] = {
     "walk": GaitClip(WALK, 4, 60),
     "run": GaitClip(RUN, 5, 60),

@@ -1,4 +1,4 @@
-"""Measurements of the feet, joints and cycles of a finished clip for tests and documentation."""
+"""Measures feet, joints and cycles of a finished clip for tests and documentation."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from isaacgymenvs_lite.utils import rotations
 from tools.clip_synthesis.mirror import mirror_rotations
 
 CONTACT_HEIGHT_M = 0.003  # a corner of a sole below this height touches the ground
-# Published limits of this humanoid's DOFs in degrees (spec/humanoid.md), because the MJCF limits
-# only the total angle of a ball joint. The limits of left and right mirror each other.
+# The limits of the humanoid's DOFs in degrees are published values (spec/humanoid.md), because the
+# MJCF limits only the total angle of a ball joint. Limits of left and right mirror each other.
 DOF_LIMITS_DEG: tuple[tuple[float, float], ...] = (
     *((-60, 60), (-60, 90), (-50, 50)),  # abdomen
     *((-50, 50), (-40, 60), (-45, 45)),  # neck

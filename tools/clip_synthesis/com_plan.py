@@ -1,9 +1,9 @@
 """Computes the path of the centre of mass from the ground reaction forces of a gait.
 
 The vertical force F of each foot has the published shape. Its line of action passes from the centre
-of pressure p through the centre of mass, approximately as in people. Newton's law then gives
-z'' = sum F / m - g and x'' = sum F / m (x - p) / h, with the mean height h, and the same for y.
-These equations have exactly one periodic solution.
+of pressure p through the centre of mass, approximately as in people. With the mean height h
+Newton's law gives z'' = sum F / m - g and x'' = sum F / m (x - p) / h. The equation of y equals the
+equation of x. These equations have exactly one periodic solution.
 """
 
 from __future__ import annotations

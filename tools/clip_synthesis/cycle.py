@@ -1,4 +1,4 @@
-"""Smooth curves: short Fourier series for tables over the gait cycle, and cubic polynomials."""
+"""Fits short Fourier series to tables over the gait cycle, and evaluates cubic polynomials."""
 
 from __future__ import annotations
 

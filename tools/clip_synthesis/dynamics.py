@@ -1,4 +1,4 @@
-"""Centre of mass, hips and angular momentum of a humanoid's poses."""
+"""Computes centre of mass, hips and angular momentum of a humanoid's poses."""
 
 from __future__ import annotations
 

@@ -23,9 +23,9 @@ class Stance:
     The foot lands on the heel, lies flat, and rolls over its front edge. It turns about the back
     edge with the toes up and about the front edge with the toes down, and it does not skate.
 
-    A pose is (x, y, z, pitch): the position of the ankle in m and the angle of the foot to the
-    ground in rad, toes up positive. The ankle of the flat foot is at x = 0. The line of travel is
-    at y = 0.
+    A pose is (x, y, z, pitch). The position of the ankle is in m. The pitch is the angle of the
+    foot to the ground in rad, toes up positive. The ankle of the flat foot is at x = 0. The line of
+    travel is at y = 0.
     """
 
     gait: Gait

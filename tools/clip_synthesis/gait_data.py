@@ -1,4 +1,4 @@
-"""Published joint angles, timing and forces of walking and running as tables over the gait cycle.
+"""Holds published angles, timing and forces of walking and running as tables over the gait cycle.
 
 The cycle starts when the right foot touches the ground. The tables hold the right side in degrees
 at every 5 % of the cycle. The left side is equal half a cycle later. The tables follow the curves

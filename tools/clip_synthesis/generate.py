@@ -40,7 +40,7 @@ def generate(gait: Gait, num_cycles: int, fps: int = FPS) -> MotionClip:
 
     Raises:
         MissingPackageError: mink is not installed.
-        ValueError: the number of frames of a cycle is odd, therefore left and right cannot match.
+        ValueError: the number of frames of a cycle is odd, and left and right cannot match.
     """
     skeleton = Skeleton.from_mjcf(paths.assets_dir() / MODEL)
     cycle_root, cycle_local = solve_cycle(gait, skeleton, fps)
@@ -52,7 +52,7 @@ def generate(gait: Gait, num_cycles: int, fps: int = FPS) -> MotionClip:
 
 
 def solve_cycle(gait: Gait, skeleton: Skeleton, fps: int) -> tuple[FloatArray, FloatArray]:
-    """Return root positions (n, 3) in m and local rotations (n, J, 4) of one cycle from x = 0."""
+    """Return root positions (n, 3) in m and local rotations (n, J, 4) xyzw of one cycle."""
     frames = round(gait.period_s * fps)
     if frames % 2 or abs(frames - gait.period_s * fps) > 1e-6:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Dimensions of the humanoid's leg, and its angles in the plane of hip, knee and ankle."""
+"""Describes the humanoid's leg by dimensions, and by angles in the plane of hip, knee and ankle."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Leg:
     def rolled(self, pitch: FloatArray, rounding_m: FloatArray | float = 0.0) -> FloatArray:
         """Return the position of the ankle (n, 2) in m for a foot on an edge of its sole.
 
-        The first column is the distance ahead of the position with a flat sole, the second column
+        The first column is the distance ahead of the position with a flat sole. The second column
         is the height. The foot stands on the back edge with the toes up, else on the front edge.
 
         Args:

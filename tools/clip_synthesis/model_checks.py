@@ -1,4 +1,4 @@
-"""Measurements of a clip with the MuJoCo model: ground force, pressure, self-contacts."""
+"""Measures ground force, pressure and self-contacts of a clip with the MuJoCo model."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def pressure_outside(clip: MotionClip, skeleton: Skeleton, model: mujoco.MjModel
 
     The first and the last two frames are left out. The distance is measured to the convex hull of
     the sole corners on the ground, and it is 0 inside. It is NaN with fewer than two corners or
-    nearly without force. The ground force acts at the centre of pressure and causes the angular
+    nearly without force. The ground force acts at the centre of pressure and changes the angular
     momentum of the whole body (Vukobratovic and Borovac, Int. J. Humanoid Robotics 1 (2004)
     157-173).
     """

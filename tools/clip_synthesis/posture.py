@@ -1,4 +1,4 @@
-"""Rotations of all bodies by the published angles, before the inverse kinematics."""
+"""Computes the rotations of all bodies from the published angles of a gait."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inverse kinematics for targets of the feet, the pelvis and the centre of mass."""
+"""Solves the inverse kinematics for targets of feet, pelvis and centre of mass."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from isaacgymenvs_lite.utils.optional_packages import import_package
 _SOLVER = "daqp"  # mink installs this quadratic-programming solver
 _MAX_ITERATIONS = 200
 _CONVERGED = 1e-8  # largest joint step in rad or m
-# This distance to the joint limits keeps the knees slightly bent. The length of a straight leg does
-# not change to first order when the knee bends, and the search would stop there.
+# This distance to the joint limits keeps the knees bent. Bending a straight knee does not change
+# the length of the leg to first order, which would stop the search.
 _KEEP_OFF_RAD = np.radians(3.0)
 # Weights of the errors in 1/m and 1/rad. The feet are most important and reach micrometres. The
 # angles of the legs are least important, because they follow from the feet.

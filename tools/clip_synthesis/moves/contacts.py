@@ -62,7 +62,8 @@ class Contact:
     def pressure_along(self, times_s: FloatArray, leg: Leg) -> FloatArray:
         """Return how far (n) in m the centre of pressure is ahead of the middle of the sole.
 
-        It is on an edge while the foot turns about this edge, and in the middle between.
+        The centre of pressure starts and ends on the edge about which the foot turns. It moves over
+        the flat sole and pauses at the middle.
         """
         half = 0.5 * (leg.heel_m + leg.toe_m)
         first, last = -half * np.sign(self.strike_rad), -half * np.sign(self.lift_rad)

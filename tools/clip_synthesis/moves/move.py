@@ -13,7 +13,7 @@ class Steps:
     """Footsteps; the feet are lifted in turns, one every `step_s`.
 
     A pitch is the angle of the foot to the ground, toes up positive. Pitches grow with the forward
-    length of the step in m. Therefore long steps land on the heel, backward steps on the toes.
+    length of the step in m. Long steps land on the heel, and backward steps land on the toes.
 
     Attributes:
         count: number of steps; 0 is standing.

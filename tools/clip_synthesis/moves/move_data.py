@@ -1,4 +1,4 @@
-"""The shipped moves as data."""
+"""Lists the shipped moves as data."""
 
 from __future__ import annotations
 
@@ -137,8 +137,8 @@ _JUMP = Move(
     window_s=(0.2, 2.9),
     steps=Steps(width_m=0.2),
     carriage=Carriage(
-        # Trunk and arms balance the angular momentum of the legs in flight: the trunk stretches
-        # before take-off and bends with the legs, the arms swing earlier.
+        # Trunk and arms balance the angular momentum of the legs in flight. The trunk stretches
+        # before take-off and bends with the legs. The arms swing earlier.
         lean=((0.4, 2), (0.92, 32), (1.18, 8), (1.4, 22), (1.56, 16), (1.8, 28), (2.4, 2)),
         pelvis_tilt=((0.4, 2), (0.92, 22), (1.18, 4), (1.4, 16), (1.56, 10), (1.8, 20), (2.4, 2)),
         shoulder=((0.4, -4), (0.88, -50), (1.22, 75), (1.95, 10), (2.5, -4)),

@@ -1,9 +1,9 @@
 """Plans path, feet and centre of mass of a move.
 
 The ground reaction force passes from the centre of pressure p to the centre of mass. Newton's law
-then gives x'' = (g + z'') / z (x - p), and the same for y (the linear inverted pendulum of Kajita
-et al., ICRA 2003, with a variable height z). In flight g + z'' = 0 and x'' = 0. The angular
-momentum of the limbs shifts p.
+then gives x'' = (g + z'') / z (x - p), and y fulfils the same equation. This is the linear inverted
+pendulum of Kajita et al. (ICRA 2003) with a variable height z. In flight g + z'' = 0 and x'' = 0.
+The angular momentum of the limbs shifts p.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class MovePlan:
 def pressure_path(tracks: tuple[FootTrack, FootTrack], times_s: FloatArray) -> FloatArray:
     """Return the planned centre of pressure (n, 2) in m of both feet at times (n).
 
-    In flight it is interpolated linearly.
+    The centre of pressure is interpolated linearly in flight.
     """
     load = np.sum([track.load(times_s) for track in tracks], axis=0)
     moment = np.sum([track.pressure_moment(times_s) for track in tracks], axis=0)
@@ -182,7 +182,7 @@ def hop_height(
     mass.
     """
     landing_s = hop.take_off_s + hop.flight_s
-    # Upward accelerations at the lowest points.
+    # These are the upward accelerations at the lowest points.
     push = 2.0 * hop.crouch_m / (hop.take_off_s - hop.crouch_s) ** 2
     catch = 2.0 * hop.absorb_m / (hop.absorb_s - landing_s) ** 2
     speed = (landing_m - take_off_m) / hop.flight_s + 0.5 * GRAVITY * hop.flight_s

@@ -1,4 +1,4 @@
-"""Rotations of trunk, head and arms for the feet of a move."""
+"""Computes the rotations of trunk, head and arms for the feet of a move."""
 
 from __future__ import annotations
 
