@@ -137,7 +137,7 @@ def table(labels: Sequence[str], records: Mapping[str, Sequence[Record]]) -> str
 
 
 def newest_records(labels: Sequence[str], folder: Path) -> dict[str, list[Record]]:
-    """Return label -> the record with most frames of each seed; clips without records are left out."""
+    """Return label -> the record with most frames of each seed; omit clips without records."""
     found = {}
     for label in labels:
         records = read_records(folder / f"{label}.jsonl")

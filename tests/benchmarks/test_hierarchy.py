@@ -106,6 +106,6 @@ def test_goals(name, runs, tmp_path) -> None:
     # The humanoid falls in the first two of ten seconds and gets some reward before.
     assert 0.0 < found["task_return"] < 0.2
     assert found["no_fall_share"] == 0.0
-    # The reward of an untrained discriminator is about 2 ln 2. The shipped one rewards falls little.
+    # The untrained discriminator pays about 2 ln 2 per step. The shipped one pays little for falls.
     bounds = (0.8, 1.8) if name == "heading_hrl" else (0.0, 0.8)
     assert bounds[0] < found["style_reward"] < bounds[1]
