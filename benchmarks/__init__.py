@@ -1,1 +1,1 @@
-"""Measurements: ratios of interleaved runs, never asserted in tests."""
+"""Benchmarks of speed, memory and learning; the tests assert none of their results."""

@@ -1,14 +1,15 @@
-"""The clips that one preset is tried on: their list and the table of their results.
+"""Lists the clips that one preset is trained on, and prints the table of their results.
 
     python -m benchmarks.learning clips --minutes 60 --until-learned --resume
     python -m benchmarks.clips [--clips deepmimic shipped PATH ...]
 
-The first command trains one clip after the other, each with the same settings and for the same
-time, and writes a record after each; it goes on where it was stopped. `--until-learned` ends a
-clip's training before its time, when two measurements in a row are as good as the table asks. The
-second prints the table of all clips, those that are not done yet among them; of several seeds,
-medians with the extremes behind them. Without `--clips` both take the 20 clips of DeepMimic in the
-package pybullet and the clips that ship. A folder means all clips in it.
+The first command trains one clip after the other with the same settings and the same time limit. It
+writes a record after each clip. With `--resume` it continues stopped trainings. `--until-learned`
+ends a clip's training early when two measurements in a row are good, see
+`benchmarks.learned`. The second command prints the table of all clips, also of clips without a
+record. A cell for several seeds holds the median, then the lowest and the highest value. Without
+`--clips` both commands take the 20 DeepMimic clips of the package pybullet and the shipped clips. A
+folder stands for all clips in it.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmarks import tables
-from benchmarks.evaluate import RESULTS_DIR
 from benchmarks.experiments import Experiment, find_experiment, override
 from benchmarks.learned import allowed_error, is_learned
+from benchmarks.played import RESULTS_DIR
 from benchmarks.records import Record, read_records, spread_cell
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.motion.formats.deepmimic import PREFIX, clips_in_package
@@ -32,20 +33,19 @@ from isaacgymenvs_lite.motion.loader import (
 )
 
 NAME = "clips"
-"""Of the experiment, and of the folder of its records in benchmarks/results."""
+"""The experiment and the folder of its records in benchmarks/results have this name."""
 DEFAULT_CLIPS = ("deepmimic", "shipped")
 _SUFFIXES = (".npz", ".npy", ".json", ".txt", ".csv")
 
 
 def named_clips(words: Sequence[str]) -> dict[str, str]:
-    """Return label -> motion file of the clips that words name.
+    """Return label -> motion file for the arguments of `--clips`.
 
     Args:
-        words: `deepmimic` and `shipped` are all clips of a kind, a folder the clips in it; others
-            are motion files.
+        words: `deepmimic` or `shipped` (all clips of this source), folders, or motion files.
 
     Raises:
-        UserError: there are no such clips.
+        UserError: a clip cannot be read, a folder holds no clip, or two clips have the same name.
     """
     clips: dict[str, str] = {}
     for word in words:
@@ -53,7 +53,9 @@ def named_clips(words: Sequence[str]) -> dict[str, str]:
         if word == "deepmimic":
             found = clips_in_package()
         elif word == "shipped":
-            found = [name for name in shipped_motions() if not _is_data_set(name)]
+            folder = shipped_motions_dir()
+            # A name with a YAML file is a data set of several clips.
+            found = [name for name in shipped_motions() if not (folder / f"{name}.yaml").is_file()]
         elif folder.is_dir():
             found = [str(f.absolute()) for f in sorted(folder.iterdir()) if f.suffix in _SUFFIXES]
             if not found:
@@ -68,12 +70,8 @@ def named_clips(words: Sequence[str]) -> dict[str, str]:
     return clips
 
 
-def _is_data_set(name: str) -> bool:
-    return (shipped_motions_dir() / f"{name}.yaml").is_file()
-
-
 def _label(file: str) -> str:
-    """Return the name of a clip in folders and tables, such as `deepmimic_walk`."""
+    """Return the name of a clip for folders and tables, for example `deepmimic_walk`."""
     if file.startswith(PREFIX):
         name = file.removeprefix(PREFIX).removeprefix("humanoid3d_")
         return "deepmimic_" + name.replace("/", "_")
@@ -81,14 +79,11 @@ def _label(file: str) -> str:
 
 
 def clip_experiments(words: Sequence[str], extra: Sequence[str] = ()) -> list[Experiment]:
-    """Return one experiment for each clip, all with the settings of the experiment `clips`.
+    """Return one experiment for each clip, with the settings of the experiment `clips`.
 
     Args:
-        words: see `named_clips`.
-        extra: further overrides, for all of them.
-
-    Raises:
-        UserError: there are no such clips.
+        words: arguments of `named_clips`, which raises for unusable clips.
+        extra: additional overrides of all experiments.
     """
     base = find_experiment(NAME)
     return [
@@ -98,7 +93,7 @@ def clip_experiments(words: Sequence[str], extra: Sequence[str] = ()) -> list[Ex
 
 
 def table(labels: Sequence[str], records: Mapping[str, Sequence[Record]]) -> str:
-    """Return the table of clips for docs/, and a line that counts those that are learned."""
+    """Return a Markdown table of the clips, and a line that counts the learned clips."""
     headings = (
         "clip",
         "frames (M)",
@@ -112,12 +107,17 @@ def table(labels: Sequence[str], records: Mapping[str, Sequence[Record]]) -> str
     )
     rows: list[Sequence[str]] = []
     for label in labels:
-        allowed_m, is_papers = allowed_error(label)
-        most_m = f"{allowed_m:.3f}, paper" if is_papers else f"{allowed_m:.2f}"
+        allowed_m, is_from_paper = allowed_error(label)
+        most_m = f"{allowed_m:.3f}, paper" if is_from_paper else f"{allowed_m:.2f}"
         seeds = records.get(label, [])
         if not seeds:
             rows.append((label, "", "", "", most_m, "", "", "", "not trained yet"))
             continue
+        learned = sum(map(is_learned, seeds))
+        if 0 < learned < len(seeds):
+            learned_cell = f"{learned} of {len(seeds)} seeds"
+        else:
+            learned_cell = "yes" if learned else "no"
         cells = (
             label,
             spread_cell([record.frames / 1e6 for record in seeds], ".1f"),
@@ -127,7 +127,7 @@ def table(labels: Sequence[str], records: Mapping[str, Sequence[Record]]) -> str
             spread_cell([record.motion_shown for record in seeds], ".2f"),
             spread_cell([record.no_fall_share for record in seeds], ".2f"),
             spread_cell([record.tempo for record in seeds], ".2f"),
-            _learned_cell(seeds),
+            learned_cell,
         )
         rows.append(cells)
     done = [records[label] for label in labels if label in records]
@@ -136,15 +136,8 @@ def table(labels: Sequence[str], records: Mapping[str, Sequence[Record]]) -> str
     return f"{tables.markdown(headings, rows)}\n\n{summary}"
 
 
-def _learned_cell(seeds: Sequence[Record]) -> str:
-    learned = sum(map(is_learned, seeds))
-    if 0 < learned < len(seeds):
-        return f"{learned} of {len(seeds)} seeds"
-    return "yes" if learned else "no"
-
-
 def newest_records(labels: Sequence[str], folder: Path) -> dict[str, list[Record]]:
-    """Return the record with most frames of each seed, by seed, of each clip that has one."""
+    """Return label -> the record with most frames of each seed; omit clips without records."""
     found = {}
     for label in labels:
         records = read_records(folder / f"{label}.jsonl")
@@ -155,7 +148,7 @@ def newest_records(labels: Sequence[str], folder: Path) -> dict[str, list[Record
 
 
 def main() -> None:
-    """Print the table, and draw."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--clips", nargs="+", default=DEFAULT_CLIPS)
     parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR / NAME)

@@ -3,9 +3,9 @@
     python -m benchmarks.curves TARGET [TARGET ...] --out docs/images/NAME.png
         [--runs-dir runs/benchmarks] [--against minutes|frames] [--returns]
 
-A target is a run folder or the name of an experiment. Each seed is a thin line, the median is
-thick. `--returns` draws the return of training episodes, one panel for each experiment.
-Only the table is printed without --out.
+A target is a run folder or the name of an experiment. Thin lines show the seeds, and a thick line
+shows their median. `--returns` draws the return of training episodes, with one panel for each
+experiment. Without `--out` the command prints the table only.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _AXES = {"minutes": ("minutes", 1.0), "frames": ("million frames", 1e-6)}
 _MEDIAN_POINTS = 400
 
 Curves = Mapping[str, Sequence[LearningCurve]]
-"""Name of an experiment -> curves of its seeds."""
+"""The type maps the name of an experiment to the curves of its seeds."""
 
 
 def median_line(lines: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-    """Return the median of lines (x, y), interpolated where all of them have values.
+    """Return the median of lines (x, y) over the range of x that all lines cover.
 
-    Empty if there is no such place.
+    The result is empty if the lines have no common range.
     """
     empty = np.zeros(0)
     if not lines or any(len(x) == 0 for x, _ in lines):
@@ -53,18 +53,18 @@ def median_line(lines: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatAr
     return at, np.median([np.interp(at, x, y) for x, y in lines], axis=0)
 
 
-def line_of(series: Series, against: str) -> tuple[FloatArray, FloatArray]:
-    """Return (x, y) of a series, x in minutes or in millions of frames."""
-    return getattr(series, against) * _AXES[against][1], series.values
+def draw(curves: Curves, path: Path, against: str) -> None:
+    """Write a picture with one panel for each quantity of `_PANELS`.
 
-
-def draw(curves: Curves, path: Path, against: str = "minutes") -> None:
-    """Write the picture.
+    Args:
+        curves: the learning curves.
+        path: the picture, .png or .svg.
+        against: the x axis, `minutes` or `frames`.
 
     Raises:
         ConfigError: the folder of `path` does not exist.
     """
-    figure: Any = _figure(path)
+    figure: Any = _figure(path, len(_PANELS))
     panels = figure.subplots(1, len(_PANELS))
     for panel, (name, title) in zip(panels, _PANELS.items(), strict=True):
         for i, (experiment, seeds) in enumerate(curves.items()):
@@ -76,13 +76,9 @@ def draw(curves: Curves, path: Path, against: str = "minutes") -> None:
     figure.savefig(path)
 
 
-def draw_returns(curves: Curves, path: Path, against: str = "frames") -> None:
-    """Write a picture of the returns in training, a panel for each experiment.
-
-    Raises:
-        ConfigError: as `draw`.
-    """
-    figure: Any = _figure(path, num_panels=len(curves))
+def draw_returns(curves: Curves, path: Path, against: str) -> None:
+    """Write a picture of the training returns with one panel for each experiment; see `draw`."""
+    figure: Any = _figure(path, len(curves))
     panels = figure.subplots(1, len(curves), squeeze=False)[0]
     for panel, (experiment, seeds) in zip(panels, curves.items(), strict=True):
         _draw_seeds(panel, [curve.even("episode_return") for curve in seeds], against, "C0")
@@ -94,7 +90,8 @@ def draw_returns(curves: Curves, path: Path, against: str = "frames") -> None:
 def _draw_seeds(
     panel: Any, seeds: Sequence[Series], against: str, color: str, label: str | None = None
 ) -> None:
-    lines = [line_of(series, against) for series in seeds]
+    scale = _AXES[against][1]
+    lines = [(getattr(series, against) * scale, series.values) for series in seeds]
     for x, y in lines:
         panel.plot(x, y, color=color, linewidth=0.6, alpha=0.6)
     panel.plot(*median_line(lines), color=color, linewidth=2.0, label=label)
@@ -107,30 +104,21 @@ def _finish(panel: Any, title: str, against: str) -> None:
 
 
 def _top(series: Sequence[Series]) -> float | None:
-    """Return the upper end of an axis: the first epochs' style rewards would flatten the rest."""
+    """Return the upper end of the y axis without the outliers of the first epochs."""
     values = np.concatenate([s.values for s in series])
     return 1.1 * float(np.percentile(values, 99)) if len(values) else None
 
 
-def _figure(path: Path, num_panels: int = len(_PANELS)) -> Any:
-    return figure_for(path, (max(12.0, 2.4 * num_panels), 3.6))
-
-
-def figure_for(path: Path, size: tuple[float, float]) -> Any:
-    """Return a figure of matplotlib, of `size` (width, height) in inches, to be saved as `path`.
-
-    Raises:
-        ConfigError: the folder of `path` does not exist.
-    """
+def _figure(path: Path, num_panels: int) -> Any:
     from matplotlib.figure import Figure
 
     if not path.absolute().parent.is_dir():
         raise ConfigError(f"--out {path}: the folder {path.absolute().parent} does not exist")
-    return Figure(figsize=size, dpi=110, layout="constrained")
+    return Figure(figsize=(max(12.0, 2.4 * num_panels), 3.6), dpi=110, layout="constrained")
 
 
 def markdown_table(curves: Curves) -> str:
-    """Return a table of what training itself showed: medians with the extremes behind them."""
+    """Return a Markdown table of the measurements during training, see `spread_cell`."""
     headings = (
         "experiment",
         "seeds",
@@ -161,7 +149,7 @@ def markdown_table(curves: Curves) -> str:
 
 
 def markdown_table_of_returns(curves: Curves) -> str:
-    """Return a table of the returns of training episodes: medians with the extremes."""
+    """Return a Markdown table of the returns of training episodes, see `spread_cell`."""
     rows = []
     for experiment, seeds in curves.items():
         returns = [curve["episode_return"] for curve in seeds]
@@ -176,27 +164,18 @@ def markdown_table_of_returns(curves: Curves) -> str:
 
 
 def _frames_per_s(curve: LearningCurve) -> float | None:
-    """Return the frames per second of the whole training, measurements and all."""
+    """Return the frames per second of the whole training, including evaluations."""
     clock = curve["fps"]
     if len(clock) < 2:
         return None
     return float(np.ptp(clock.frames) / (60.0 * np.ptp(clock.minutes)))
 
 
-def _of_runs(targets: Sequence[str], runs_dir: Path) -> dict[str, list[LearningCurve]]:
-    curves: dict[str, list[LearningCurve]] = {}
-    for target in targets:
-        for run in find_runs(target, runs_dir):
-            curve = read_learning_curve(run.folder / "summaries")
-            curves.setdefault(run.experiment, []).append(curve)
-    return curves
-
-
 def main() -> None:
-    """Draw and print."""
+    """Print the table and draw the picture."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("targets", nargs="+", help="run folders or experiments")
-    parser.add_argument("--out", type=Path, help="the picture, .png or .svg")
+    parser.add_argument("--out", type=Path, help="picture to write, .png or .svg")
     parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
     parser.add_argument("--against", choices=sorted(_AXES), default="minutes")
     parser.add_argument("--returns", action="store_true", help="returns of classic tasks")
@@ -204,8 +183,12 @@ def main() -> None:
     table, picture = (
         (markdown_table_of_returns, draw_returns) if args.returns else (markdown_table, draw)
     )
+    curves: dict[str, list[LearningCurve]] = {}
     try:
-        curves = _of_runs(args.targets, args.runs_dir)
+        for target in args.targets:
+            for run in find_runs(target, args.runs_dir):
+                curve = read_learning_curve(run.folder / "summaries")
+                curves.setdefault(run.experiment, []).append(curve)
         print(table(curves))
         if args.out:
             picture(curves, args.out, args.against)

@@ -1,13 +1,13 @@
-"""How much of the physics' speed is left in a task: env.step against raw Batch.step.
+"""Compares the speed of a task's env.step with the speed of MuJoCo's raw Batch.step.
 
     python -m benchmarks.env_step [--task HumanoidAMP] [--num-envs 1024] [--threads 2] [--rounds 30]
         [key=value ...]
 
-env.step is what an agent pays for: reset_done, actions, physics, observations, AMP history,
-rewards, resets. The raw side is a `mujoco.batch.Batch` of its own with the same model, substeps and
-threads.
-Both take turns at every step, from the same states under the same controls, so that they do the
-same physics and a drift of the machine's speed hits both; the copying in between is not timed.
+The time of env.step includes reset_done, actions, physics, observations, AMP history, rewards and
+resets. The raw side is a separate `mujoco.batch.Batch` with the same model, substeps and threads.
+Both sides take turns at every step, from the same states and with the same controls. Therefore they
+compute the same physics, and a drift of the machine's speed affects both. Copying the states is not
+timed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import os
 import statistics
 import time
 
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as train.py, before torch is imported
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # train.py also sets it before importing torch
 
 import torch
 from mujoco.batch import Batch
@@ -28,12 +28,12 @@ from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 
 _STEPS_PER_ROUND = 10
-# Exploration noise of AMP's policies, exp(-2.9), and of a policy of the classic tasks at its start.
+# Standard deviation of the actions: exp(-2.9) for AMP, and 1 for new policies of other tasks.
 _AMP_NOISE, _OTHER_NOISE = 0.055, 1.0
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure the two speeds and print their ratio."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("overrides", nargs="*", metavar="key=value")
     parser.add_argument("--task", default="HumanoidAMP")
@@ -54,7 +54,7 @@ def main() -> None:
     raw_controls, controls = raw.bind("ctrl"), batch.bind("ctrl")
 
     def round_s() -> tuple[float, float]:
-        """Return the times of the task and of the raw batch for some steps."""
+        """Return the seconds that the task and the raw batch need for one round."""
         env_s = raw_s = 0.0
         for _ in range(_STEPS_PER_ROUND):
             actions = noise * torch.randn(args.num_envs, env.num_actions)
@@ -74,14 +74,14 @@ def main() -> None:
             raw_s += time.perf_counter() - start
         return env_s, raw_s
 
-    round_s()
+    round_s()  # warm-up
     env_s, raw_s = zip(*(round_s() for _ in range(args.rounds)), strict=True)
     ratios = [raw / env for raw, env in zip(raw_s, env_s, strict=True)]
     frames = args.num_envs * _STEPS_PER_ROUND
     print(describe_machine())
     print(
-        f"{args.task}, {args.num_envs} envs, {args.threads} threads, {simulation.substeps}"
-        " substeps:"
+        f"{args.task}, {args.num_envs} envs, {args.threads} threads,"
+        f" {simulation.substeps} substeps:"
         f" env.step {frames / statistics.median(env_s):,.0f} frames/s,"
         f" raw Batch.step {frames / statistics.median(raw_s):,.0f} frames/s,"
         f" ratio median {statistics.median(ratios):.3f}"

@@ -4,15 +4,16 @@
         [--runs-dir runs/benchmarks] [--epoch N] [--episodes 32] [--write] [--markdown]
 
 A target is a checkpoint, a run folder (its newest checkpoint), or the name of an experiment (the
-newest checkpoint of each of its seeds). 32 episodes of up to 300 steps, one in each environment,
-from random moments of the clip, the same for every policy; mean actions. `--episodes` plays more,
-where 32 are too few: four falls can be 5% as well as 20%. Prints one line for each
-policy and the medians over seeds; `--write` adds the records to benchmarks/results.
+newest checkpoint of each seed). Each policy plays 32 episodes of up to 300 steps with mean actions,
+one episode in each environment. The episodes start at random phases of the clip, which are the same
+for every policy. `--episodes` sets another number of episodes, because 32 episodes are a rough
+measure. A policy with four falls of 32 may fall in 5% or in 20% of many episodes. The command
+prints one line for each policy and the medians over the seeds. `--write` adds the records to
+benchmarks/results.
 """
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from pathlib import Path
 
 from benchmarks.learned import first_learned
 from benchmarks.learning_curve import read_learning_curve
+from benchmarks.played import find_targets, parser_of
 from benchmarks.protocol import EPISODES, SEED, evaluate_checkpoint
 from benchmarks.records import (
     GOOD_EPISODE_STEPS,
@@ -30,11 +32,9 @@ from benchmarks.records import (
     numbers_line,
     write_records,
 )
-from benchmarks.runs import DEFAULT_RUNS_DIR, Run, find_runs, plain
+from benchmarks.runs import Run, plain
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint
-from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
-
-RESULTS_DIR = Path(__file__).with_name("results")
+from isaacgymenvs_lite.errors import CheckpointError, UserError
 
 
 def measure(
@@ -45,7 +45,7 @@ def measure(
     overrides: Sequence[str] = (),
     episodes: int = EPISODES,
 ) -> Record:
-    """Play a checkpoint of a run, by default the newest, and gather what is known about it.
+    """Play a checkpoint of a run, by default the newest, and return its record.
 
     Raises:
         UserError: there is no checkpoint, or it cannot be played.
@@ -91,48 +91,13 @@ def measure(
 
 
 def _without_folder(setting: str) -> str:
-    """Shorten `task.env.motion_file=/home/me/walk.npy`: the folder says nothing elsewhere."""
+    """Return `task.env.motion_file=/home/me/walk.npy` without the folder."""
     key, _, value = setting.partition("=")
     return f"{key}={Path(value.strip(chr(39))).name}" if key.endswith("motion_file") else setting
 
 
-def evaluate_and_report(
-    runs: Sequence[Run],
-    checkpoints: Sequence[Path | None] | None = None,
-    results_dir: Path | None = None,
-    markdown: bool = False,
-    seed: int = SEED,
-    num_threads: int = 1,
-    overrides: Sequence[str] = (),
-    episodes: int = EPISODES,
-) -> list[Record]:
-    """Measure checkpoints, print a line for each and the medians, write the records if asked to.
-
-    Args:
-        runs: what to measure.
-        checkpoints: one for each run; None for the newest.
-        results_dir: where records and learning curves are written; None writes none.
-        markdown: print a table for docs/, too.
-        seed: of the episodes' starts.
-        num_threads: for physics and networks.
-        overrides: settings that replace the runs'.
-        episodes: how many of each policy.
-
-    Raises:
-        UserError: a run cannot be measured.
-    """
-    records = []
-    for run, checkpoint in zip(runs, checkpoints or [None] * len(runs), strict=True):
-        records.append(measure(run, checkpoint, seed, num_threads, overrides, episodes))
-        keep(run, records[-1], results_dir)
-    print_medians(records)
-    if markdown:
-        print(markdown_table(records))
-    return records
-
-
-def keep(run: Run, record: Record, results_dir: Path | None) -> None:
-    """Print the record of a run, and write it and the learning curve into a folder, if any."""
+def keep(record: Record, results_dir: Path | None) -> None:
+    """Print a record, and write it if `results_dir` is given."""
     print(record, flush=True)
     if results_dir is not None:
         for file in write_records([record], results_dir):
@@ -147,53 +112,25 @@ def print_medians(records: Sequence[Record]) -> None:
 
 
 def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("what", nargs="+", help="checkpoints, run folders, experiments, overrides")
-    parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
-    parser.add_argument("--epoch", type=int, help="the checkpoint of an epoch, not the newest")
-    parser.add_argument("--evaluation-seed", type=int, default=SEED)
-    parser.add_argument("--episodes", type=int, default=EPISODES, help="of each policy")
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--write", action="store_true", help="add the records to --results-dir")
-    parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR)
-    parser.add_argument("--markdown", action="store_true", help="print a table, too")
+    """Measure the policies and print their records."""
+    parser = parser_of(__doc__)
+    parser.add_argument("--epoch", type=int, help="epoch of the checkpoint (default: the newest)")
+    parser.add_argument("--episodes", type=int, default=EPISODES, help="episodes of each policy")
+    parser.add_argument("--markdown", action="store_true", help="print a Markdown table, too")
     args = parser.parse_intermixed_args()
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    overrides = [word for word in args.what if "=" in word]
+    settings = (args.evaluation_seed, args.threads, overrides, args.episodes)
+    records = []
     try:
-        targets = [word for word in args.what if "=" not in word]
-        if not targets:
-            raise ConfigError("give a checkpoint, a run folder or an experiment")
-        runs, checkpoints = _find(targets, args.runs_dir, args.epoch)
-        evaluate_and_report(
-            runs,
-            checkpoints,
-            args.results_dir if args.write else None,
-            args.markdown,
-            args.evaluation_seed,
-            args.threads,
-            [word for word in args.what if "=" in word],
-            args.episodes,
-        )
+        for run, checkpoint in find_targets(args.what, args.runs_dir, args.epoch):
+            records.append(measure(run, checkpoint, *settings))
+            keep(records[-1], args.results_dir if args.write else None)
+        print_medians(records)
+        if args.markdown:
+            print(markdown_table(records))
     except UserError as error:
         sys.exit(f"error: {error}")
-
-
-def _find(
-    targets: Sequence[str], runs_dir: Path, epoch: int | None
-) -> tuple[list[Run], list[Path | None]]:
-    """Return the runs of the targets, and the checkpoint asked for of each."""
-    runs: list[Run] = []
-    checkpoints: list[Path | None] = []
-    for target in targets:
-        if target.endswith(".pth"):
-            runs.append(Run.at(Path(target).absolute().parent.parent))
-            checkpoints.append(Path(target))
-            continue
-        for run in find_runs(target, runs_dir):
-            runs.append(run)
-            checkpoints.append(None if epoch is None else run.checkpoint_of_epoch(epoch))
-    return runs, checkpoints
 
 
 if __name__ == "__main__":

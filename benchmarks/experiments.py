@@ -1,4 +1,4 @@
-"""The trainings of the fixed protocol: experiments.yaml, from names to settings of train.py."""
+"""Turns the experiment names of experiments.yaml into settings of train.py."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _MOTION_KEY = "task.env.motion_file"
 
 @dataclass(frozen=True)
 class Experiment:
-    """One training to compare with others.
+    """One training configuration.
 
     Attributes:
         name: `<clip>[+<variant> ...]`.
-        settings: overrides for train.py, all but seed, threads and files of the run.
+        settings: overrides for train.py except seed, threads and the run's files.
     """
 
     name: str
@@ -31,20 +31,19 @@ class Experiment:
 
 
 def find_experiment(
-    name: str, motion_file: str | None = None, extra: Sequence[str] = (), table: Path = TABLE
+    name: str, motion_file: str | None = None, extra: Sequence[str] = ()
 ) -> Experiment:
-    """Look an experiment up.
+    """Return the experiment of this name.
 
     Args:
         name: `<clip>[+<variant> ...]`.
-        motion_file: the clip of an experiment whose entry leaves it open.
-        extra: further overrides; they win.
-        table: the YAML file.
+        motion_file: clip of an experiment whose entry names no clip.
+        extra: additional overrides, which take precedence.
 
     Raises:
-        ConfigError: an unknown name, or the clip is missing or does not exist.
+        ConfigError: the name is unknown, or the clip is missing or does not exist.
     """
-    entries: Any = OmegaConf.to_container(read_yaml(table))
+    entries: Any = OmegaConf.to_container(read_yaml(TABLE))
     clip_name, *variants = name.split("+")
     if clip_name not in entries["experiments"]:
         raise ConfigError(unknown("experiment", clip_name, entries["experiments"]))
@@ -67,23 +66,25 @@ def find_experiment(
     return Experiment(name, tuple(settings))
 
 
-def needs_motion_file(name: str, table: Path = TABLE) -> bool:
-    """Return whether the experiment's clip is given on the command line."""
-    entry = read_yaml(table).experiments.get(name.split("+")[0])
+def needs_motion_file(name: str) -> bool:
+    """Return whether the command line has to name the experiment's clip."""
+    entry = read_yaml(TABLE).experiments.get(name.split("+")[0])
     return entry is not None and "motion_file" in entry and entry.motion_file is None
 
 
 def _given_clip(name: str, motion_file: str | None) -> str:
     if motion_file is None:
-        raise ConfigError(f"the experiment '{name}' needs its clip: --motion-file PATH")
+        raise ConfigError(f"the experiment '{name}' needs its clip; add --motion-file PATH")
     path = Path(motion_file).expanduser()
     if not path.is_file():
-        raise ConfigError(f"--motion-file {motion_file}: no such file; give a .npz or .npy clip")
+        raise ConfigError(
+            f"--motion-file {motion_file}: no such file; expected a .npz or .npy clip"
+        )
     return str(path.absolute())
 
 
 def override(key: str, value: str) -> str:
-    """Return `key=value`, the value quoted as Hydra wants it if it holds unusual characters."""
+    """Return `key=value` and quote the value for Hydra if it holds unusual characters."""
     if re.fullmatch(r"[\w./:+-]+", value):
         return f"{key}={value}"
     return "{}='{}'".format(key, value.replace("'", "\\'"))

@@ -3,10 +3,11 @@
     python -m benchmarks.film TARGET --out FILE.webp [key=value ...]
         [--seconds 3] [--skip 0] [--envs 1] [--runs-dir runs/benchmarks]
 
-The target is a checkpoint, a run folder or an experiment, as for `benchmarks.evaluate`; of several
-policies the first is filmed. Mean actions, one panel for each environment. A policy that imitates
-is filmed beside its clip, from the same phase on. `--out` ends in .webp or .mp4. Shipped policies
-are filmed by `isaacgymenvs-lite demo`. Extra: [video].
+The target is a checkpoint, a run folder or an experiment, see `benchmarks.evaluate`. The command
+films the first policy of the target with mean actions. The film has one panel for each environment.
+A policy that imitates a clip is shown next to its clip, both from the same phase. `--out` ends in
+.webp or .mp4. `isaacgymenvs-lite demo` films the shipped policies. The command needs the extra
+[video].
 """
 
 from __future__ import annotations
@@ -28,23 +29,23 @@ from isaacgymenvs_lite.rendering.view import View
 from isaacgymenvs_lite.viewers.reference_overlay import reference_track
 
 PANEL = (400, 300)
-"""Width and height of a panel, pixels; half as wide where there are several."""
+"""A panel has this width and height in pixels. Several panels have half of the width."""
 MAX_FPS = 20.0
-"""Above it every second picture is left out, and so on: the file stays small."""
+"""A film keeps at most this many frames per second, which limits the size of the file."""
 
 
 def film(
     player: Any, env: Any, out: Path, seconds: float, skip_seconds: float, num_shown: int
 ) -> Path:
-    """Play one episode in each environment and write what the first ones show.
+    """Play one episode in each environment and film the first environments.
 
     Args:
         player: has `act(obs)`.
-        env: the task that it plays.
+        env: the player's task.
         out: a .webp or .mp4 file.
-        seconds: length of the film; shorter if all episodes end before.
-        skip_seconds: not shown, at the beginning.
-        num_shown: environments.
+        seconds: length of the film, which is shorter if all episodes end earlier.
+        skip_seconds: length of the omitted beginning.
+        num_shown: number of filmed environments.
 
     Raises:
         UserError: this machine cannot draw or encode, or the file cannot be written.
@@ -81,28 +82,24 @@ def film(
 
 
 def main(words: list[str] | None = None) -> None:
-    """Play and film."""
+    """Play and film a policy."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("what", nargs="+", help="a checkpoint, run folder or experiment; overrides")
-    parser.add_argument("--out", type=Path, required=True, help="the file, .webp or .mp4")
+    parser.add_argument("--out", type=Path, required=True, help="film to write, .webp or .mp4")
     parser.add_argument("--seconds", type=float, default=3.0)
-    parser.add_argument("--skip", type=float, default=0.0, help="seconds not shown, at the start")
-    parser.add_argument("--envs", type=int, default=1, help="environments to show")
+    parser.add_argument("--skip", type=float, default=0.0, help="omit the first seconds")
+    parser.add_argument("--envs", type=int, default=1, help="number of filmed environments")
     parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
     parser.add_argument("--seed", type=int, default=SEED)
     args = parser.parse_intermixed_args(words)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
-    fixed = {
-        "num_envs": args.envs,
-        "task.env.numEnvs": args.envs,
-        "task.task.randomize": False,
-    }
+    sizes = {"num_envs": args.envs, "task.env.numEnvs": args.envs}
     try:
         _, checkpoint = find_targets(args.what, args.runs_dir)[0]
         path = play_checkpoint(
             checkpoint,
             lambda player, env: film(player, env, args.out, args.seconds, args.skip, args.envs),
-            fixed,
+            {**sizes, "task.task.randomize": False},
             args.seed,
             overrides=tuple(word for word in args.what if "=" in word),
         )

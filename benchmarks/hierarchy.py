@@ -5,34 +5,30 @@
     python -m benchmarks.hierarchy goal TARGET [TARGET ...] [key=value ...]
         [--runs-dir runs/benchmarks] [--random-latents] [--write]
 
-`skills` plays low-level controllers under latents as in training: which clips of the data set their
-motion is nearest to, what the encoder makes of it, how many episodes end without a fall. `getup`
-plays low-level controllers of HumanoidASEGetup from the
-ground: the share of characters that are up within 3 s, and stay up until 6 s. `goal` plays policies
-on a task: the task's return, 1 for the full reward in every step.
+`skills` plays low-level controllers with random latents, which are drawn as in training. It
+measures which clips of the data set the motion resembles, the reward of the encoder, and the share
+of episodes without a fall. `getup` plays low-level controllers of HumanoidASEGetup from the ground.
+It measures the share of episodes in which the humanoid stands after 3 s and until 6 s. `goal` plays
+policies on a task. It measures the task's return, which is 1 for the full reward in every step.
 
-Targets are those of `benchmarks.evaluate`. 128 episodes of up to 300 steps from the default pose,
-the same goals for all policies; mean actions. `--random-latents` plays a hierarchy's low level
-without its high level. `--write` adds the numbers to benchmarks/results.
+`benchmarks.evaluate` describes the targets. Each policy plays 128 episodes of up to 300 steps from
+the default pose, with mean actions and with the same goals. `--random-latents` replaces the high
+level of a hierarchy by random latents. `--write` adds the results to benchmarks/results.
 """
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import torch
 
-from benchmarks.evaluate import RESULTS_DIR
-from benchmarks.played import append_result, find_targets
-from benchmarks.protocol import IMITATION_SETTINGS, SEED, play_checkpoint
-from benchmarks.runs import DEFAULT_RUNS_DIR
+from benchmarks.played import append_result, find_targets, parser_of
+from benchmarks.protocol import IMITATION_SETTINGS, play_checkpoint
 from isaacgymenvs_lite.checkpoints.llc_reference import SHIPPED_LLC
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.evaluation.evaluate import evaluate
@@ -43,19 +39,19 @@ EPISODES = 128
 GETUP_S = 3.0
 CONTROL_STEPS_PER_S = 30
 LLC_CONFIG = "HumanoidASEPPO"
-"""Train file of the shipped low level, which judges the style of policies without one."""
+"""The shipped low level has this train file. It rates the style of policies without a low level."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Skills:
-    """What a low-level controller can do.
+    """Skills of a low-level controller, measured over short windows of its motion.
 
     Attributes:
-        coverage: share of the clips that are the nearest to at least 1 % of the windows.
-        clip_shares: clip -> share of the windows.
-        encoder_reward: mean over the windows.
-        shuffled_reward: the same for latents of other episodes and times.
-        no_fall_share: of the episodes.
+        coverage: share of the clips that are the nearest clip of at least 1 % of the windows.
+        clip_shares: clip -> share of the windows to which the clip is nearest.
+        encoder_reward: mean encoder reward of the windows.
+        shuffled_reward: mean encoder reward with latents of other episodes and times.
+        no_fall_share: share of the episodes without a fall.
     """
 
     coverage: float
@@ -73,10 +69,10 @@ class Skills:
 
 @dataclass(frozen=True, kw_only=True)
 class GotUp:
-    """How well a low-level controller gets up.
+    """Success of a low-level controller at getting up.
 
     Attributes:
-        got_up_share: of the episodes: stood on its feet after `GETUP_S`, and until the end.
+        got_up_share: share of the episodes with a standing humanoid from `GETUP_S` until the end.
     """
 
     got_up_share: float
@@ -87,15 +83,15 @@ class GotUp:
 
 @dataclass(frozen=True, kw_only=True)
 class GoalReached:
-    """How well a policy does what it is asked to.
+    """Success of a policy on its task.
 
     Attributes:
-        task_return: sum of the task's rewards of an episode over the number of its steps when
-            nothing ends it early, mean over the episodes.
-        no_fall_share: of the episodes.
-        style_reward: what the discriminator of a low level pays per control step: the policy's own,
-            or, for a policy without one, of the shipped low level; None if that is of another
-            humanoid.
+        task_return: mean over the episodes of the summed task rewards, divided by the number of
+            steps of a full episode.
+        no_fall_share: share of the episodes without a fall.
+        style_reward: mean discriminator reward per control step. The discriminator belongs to the
+            policy's low level, or else to the shipped low level. None if the shipped low level is
+            for another humanoid.
     """
 
     task_return: float
@@ -110,7 +106,7 @@ class GoalReached:
 
 
 def fixed_settings(kind: str) -> dict[str, Any]:
-    """Return what differs from the protocol of imitation, for a kind of measurement."""
+    """Return the settings of a kind of measurement, as path in the tree -> value."""
     own = {
         "num_envs": EPISODES,
         "task.env.numEnvs": EPISODES,
@@ -128,13 +124,13 @@ def fixed_settings(kind: str) -> dict[str, Any]:
 
 
 def measure_skills(player: Any, env: Any) -> Skills:
-    """Play a low-level controller; see the module docstring.
+    """Play a low-level controller, see the module docstring.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: the policy is no low-level controller.
     """
     if not hasattr(player, "skills"):
-        raise ConfigError("skills: expected a policy of algo: name: gen_amp or ase")
+        raise ConfigError("skills: expected a policy with algo.name gen_amp or ase")
     del env
     player.games_num = EPISODES
     player.run()
@@ -149,28 +145,30 @@ def measure_skills(player: Any, env: Any) -> Skills:
 
 
 def measure_getup(player: Any, env: Any) -> GotUp:
-    """Play a low-level controller from the ground; see the module docstring.
+    """Play a low-level controller from the ground, see the module docstring.
 
     Raises:
-        ConfigError: its task has no fallen starts.
+        ConfigError: the task has no fallen starts.
     """
     if not hasattr(env, "fallen_root_states"):
-        raise ConfigError(f"getup: {type(env).__name__} never lies; train task=HumanoidASEGetup")
+        raise ConfigError(
+            f"getup: {type(env).__name__} never starts on the ground; train task=HumanoidASEGetup"
+        )
     return GotUp(got_up_share=measure_skills(player, env).no_fall_share)
 
 
 def measure_goal(player: Any, env: Any, random_latents: bool = False) -> GoalReached:
-    """Play a policy on the task of its run; see the module docstring.
+    """Play a policy on the task of its run, see the module docstring.
 
     Raises:
-        ConfigError: random latents for a policy without a low level.
+        ConfigError: `random_latents` is set for a policy without a low level.
     """
     policy = _policy(player, random_latents)
-    judge = getattr(player, "llc", None) or shipped_judge(env)
+    judge = getattr(player, "llc", None) or _shipped_low_level(env)
     style = None if judge is None else judge.style_reward
     result = evaluate(env, policy, EPISODES, style_reward=style)
     assert result.imitation is not None  # the task has reference motions
-    # The step that ends an episode at the time limit is the one before the last.
+    # An episode without early termination has one step less than max_episode_length.
     full = env.max_episode_length - 1
     return GoalReached(
         task_return=result.reward / full,
@@ -179,11 +177,11 @@ def measure_goal(player: Any, env: Any, random_latents: bool = False) -> GoalRea
     )
 
 
-def shipped_judge(env: Any) -> LowLevelPolicy | None:
-    """Return the shipped low level, whose discriminator rates the style; None if it misfits."""
+def _shipped_low_level(env: Any) -> LowLevelPolicy | None:
+    """Return the shipped low level, or None if it is for another humanoid."""
     try:
         return LowLevelPolicy(LLC_CONFIG, SHIPPED_LLC, LowLevelSizes.from_task(env), env.rl_device)
-    except CheckpointError:  # of another humanoid
+    except CheckpointError:
         return None
 
 
@@ -192,7 +190,7 @@ def _policy(player: Any, random_latents: bool) -> Callable[[dict[str, torch.Tens
         return player.act
     llc = getattr(player, "llc", None)
     if llc is None:
-        raise ConfigError("--random-latents: expected a policy of algo: name: hrl")
+        raise ConfigError("--random-latents: expected a policy with algo.name hrl")
     act = llc.policy_under(
         lambda obs: sample_latents(len(obs), llc.latent_dim, obs.device), player.llc_steps
     )
@@ -200,20 +198,13 @@ def _policy(player: Any, random_latents: bool) -> Callable[[dict[str, torch.Tens
 
 
 def main(words: list[str] | None = None) -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("kind", choices=["skills", "getup", "goal"])
-    parser.add_argument("what", nargs="+", help="checkpoints, run folders, experiments, overrides")
-    parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
+    """Measure the policies and print the results."""
+    parser = parser_of(__doc__, kinds=("skills", "getup", "goal"))
     parser.add_argument("--random-latents", action="store_true")
-    parser.add_argument("--evaluation-seed", type=int, default=SEED)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--write", action="store_true", help="add the numbers to --results-dir")
-    parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR)
     args = parser.parse_intermixed_args(words)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     if args.random_latents and args.kind != "goal":
-        sys.exit("error: --random-latents belongs to goal")
+        sys.exit("error: --random-latents has an effect for goal only; leave it out")
     measures = {
         "skills": measure_skills,
         "getup": measure_getup,

@@ -1,8 +1,9 @@
-"""Decides whether a policy moves as its clip does: in one measurement, and first in a training.
+"""Decides whether a policy has learned its clip, and when a training learned it.
 
-A policy is good with at most the pose error of the AMP paper, or 0.06 m where the paper has none,
-at least 0.9 of the episodes without a fall, half of the clip's motion shown and a tempo of 0.6 to
-1.5.
+A measurement is good if four quantities are within their limits. The pose error is at most the AMP
+paper's value for the clip, or 0.06 m if the paper has no value. At least 0.9 of the episodes end
+without a fall. The motion shown (the share of the clip's motion that the policy performs) is at
+least 0.5. The tempo is between 0.6 and 1.5.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy.typing as npt
 from benchmarks.learning_curve import LearningCurve
 from benchmarks.records import Record
 
-# Pose errors (m) of the AMP paper; of other clips this one is good.
+# The AMP paper reports these pose errors in m.
 _PAPER_M = {
     "deepmimic_walk": 0.030,
     "deepmimic_run": 0.075,
@@ -25,8 +26,7 @@ _PAPER_M = {
 }
 _GOOD_M = 0.06
 _GOOD_NO_FALL = 0.9
-# Standing shows a tenth of the motion of a clip that moves, and half the tempo about a half. A leap
-# whose flight is no fall in the clip cannot be shown in full.
+# A standing policy shows about 0.1 of a moving clip, a policy with tempo 0.5 shows about 0.5.
 _GOOD_SHOWN = 0.5
 _GOOD_TEMPO = (0.6, 1.5)
 _IN_A_ROW = 2
@@ -34,26 +34,26 @@ _MEASURED = ("pose_error_m", "no_fall_share", "motion_shown", "tempo")
 
 
 def allowed_error(label: str) -> tuple[float, bool]:
-    """Return the largest good pose error (m) of a clip, and whether it is the paper's."""
+    """Return the limit of a clip's pose error in m, and whether the AMP paper reports it."""
     return _PAPER_M.get(label, _GOOD_M), label in _PAPER_M
 
 
 def is_learned(record: Record) -> bool:
-    """Return whether a policy moves as its clip does, and does not fall."""
-    numbers = [getattr(record, name) for name in _MEASURED]
-    if any(number is None for number in numbers):
+    """Return whether the measurement of a policy is good."""
+    values = [getattr(record, name) for name in _MEASURED]
+    if any(value is None for value in values):
         return False
-    return bool(_are_good(record.experiment, *np.array(numbers)[:, None])[0])
+    return bool(_are_good(record.experiment, *np.array(values)[:, None])[0])
 
 
 def has_learned(label: str, curve: LearningCurve) -> bool:
-    """Return whether a training measured, the last two times, that its clip is learned."""
+    """Return whether the last two measurements of a training are good."""
     good = _good_measurements(label, curve)[-_IN_A_ROW:]
     return len(good) == _IN_A_ROW and bool(good.all())
 
 
 def first_learned(label: str, curve: LearningCurve) -> tuple[float, float] | None:
-    """Return (frames, minutes) of the second of the first two good measurements in a row."""
+    """Return frames and minutes when two measurements in a row were good for the first time."""
     good = _good_measurements(label, curve)
     (rows,) = np.nonzero(good[1:] & good[:-1])
     if len(rows) == 0:
@@ -64,8 +64,8 @@ def first_learned(label: str, curve: LearningCurve) -> tuple[float, float] | Non
 
 def _good_measurements(label: str, curve: LearningCurve) -> npt.NDArray[np.bool_]:
     series = [curve[name].values for name in _MEASURED]
-    most = min(len(values) for values in series)  # the motion was not always measured
-    return _are_good(label, *(values[len(values) - most :] for values in series))
+    count = min(len(values) for values in series)  # old runs lack early values of motion_shown
+    return _are_good(label, *(values[len(values) - count :] for values in series))
 
 
 def _are_good(

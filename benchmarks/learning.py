@@ -1,17 +1,19 @@
-"""Trains experiments of the fixed protocol by the clock and records what they reached.
+"""Trains experiments for a fixed time and records the results.
 
     python -m benchmarks.learning EXPERIMENT [EXPERIMENT ...] [key=value ...]
         [--seeds 1 2 3] [--minutes 150] [--motion-file PATH] [--parallel 1] [--resume]
     python -m benchmarks.learning clips [key=value ...] [--clips deepmimic shipped PATH ...]
         [--until-learned] ...
 
-Each seed is one `train.py` process with a run folder of its own, `<experiment>_seed<n>`. With
-`--parallel 2` two of them run at a time, each on its own half of the CPUs: compare those by frames,
-not by minutes. At the end of its minutes, and at Ctrl-C, a run saves and ends; `--resume` goes on
-with it, and minutes count together. When a run has ended, `benchmarks.evaluate`, of a classic task
-`benchmarks.returns`, plays its policy and writes benchmarks/results/<experiment>.jsonl. `clips` is
-one experiment for each clip, with seed 1 unless `--seeds` names others, in folders of their own;
-`benchmarks.clips` prints their table. docs/protocol.md has the rest.
+Each seed is one `train.py` process with its own run folder, `<experiment>_seed<n>`. With
+`--parallel 2` two processes run at the same time, each on half of the CPUs. Compare parallel runs
+by frames, not by minutes. A run saves a checkpoint and ends when its minutes are over or at Ctrl-C.
+`--resume` continues a run, and the minutes of all its parts are added. After a run its policy is
+played and the result is added to benchmarks/results/<experiment>.jsonl. `benchmarks.evaluate` plays
+policies that imitate clips, and `benchmarks.returns` plays policies of classic tasks.
+
+`clips` stands for one experiment for each clip. Its default seed is 1, and it has separate folders.
+`benchmarks.clips` prints the table of its results. See also docs/protocol.md.
 """
 
 from __future__ import annotations
@@ -27,9 +29,10 @@ from pathlib import Path
 
 from benchmarks.clips import DEFAULT_CLIPS, clip_experiments, newest_records
 from benchmarks.clips import NAME as CLIPS
-from benchmarks.evaluate import RESULTS_DIR, keep, measure, print_medians
+from benchmarks.evaluate import keep, measure, print_medians
 from benchmarks.experiments import find_experiment, needs_motion_file
 from benchmarks.learned import has_learned, is_learned
+from benchmarks.played import RESULTS_DIR
 from benchmarks.records import Record
 from benchmarks.returns import measure_and_keep
 from benchmarks.runs import DEFAULT_RUNS_DIR, Run
@@ -39,7 +42,7 @@ from isaacgymenvs_lite.run.stop_request import StopRequest
 
 
 def main() -> None:
-    """Train, then evaluate."""
+    """Train and evaluate all runs."""
     args = _parser().parse_intermixed_args()
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     try:
@@ -57,24 +60,24 @@ def main() -> None:
                 measure_and_keep(run, checkpoint, args.results_dir)
                 return
             records.append(measure(run))
-            keep(run, records[-1], args.results_dir)
+            keep(records[-1], args.results_dir)
 
         with StopRequest() as stop:
             todo = [job for job in plans if job.minutes > 0]
             failed = train_all(todo, slots, lambda: stop.requested, on_end=play)
         for run in failed:
-            print(f"{run.label} failed, the end of {log_file(run)}:")
+            print(f"{run.label} failed; the last lines of {log_file(run)} are:")
             print("\n".join(log_file(run).read_text(encoding="utf-8").splitlines()[-5:]))
         if stop.requested:
-            sys.exit("stopped; --resume goes on")
+            sys.exit("stopped; --resume continues the runs")
         for job in plans:
-            if job.minutes == 0:  # had its time before
+            if job.minutes == 0:  # trained earlier
                 play(job.run)
         print_medians(records)
     except UserError as error:
         sys.exit(f"error: {error}")
-    except KeyboardInterrupt:  # the second Ctrl-C
-        sys.exit("stopped at once; --resume goes on")
+    except KeyboardInterrupt:  # second Ctrl-C
+        sys.exit("stopped at once; --resume continues the runs")
     if failed:
         sys.exit(1)
 
@@ -82,16 +85,16 @@ def main() -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("what", nargs="+", help="experiments, and overrides for train.py")
-    parser.add_argument("--seeds", type=int, nargs="+", help="default: 1 2 3; of clips 1")
-    parser.add_argument("--minutes", type=float, default=150.0, help="of each run, at most")
-    parser.add_argument("--clips", nargs="+", help="of the experiment clips; see benchmarks.clips")
+    parser.add_argument("--seeds", type=int, nargs="+", help="default: 1 2 3, for clips: 1")
+    parser.add_argument("--minutes", type=float, default=150.0, help="time limit of each run")
+    parser.add_argument("--clips", nargs="+", help="clips of the experiment clips")
     parser.add_argument(
         "--until-learned", action="store_true", help="end a clip's training when it is learned"
     )
-    parser.add_argument("--motion-file", help="the clip of experiments that leave it open")
-    parser.add_argument("--parallel", type=int, default=1, help="runs at a time")
+    parser.add_argument("--motion-file", help="clip of experiments that name no clip")
+    parser.add_argument("--parallel", type=int, default=1, help="number of simultaneous runs")
     parser.add_argument("--cores-per-run", type=int, help="default: all, shared by --parallel")
-    parser.add_argument("--resume", action="store_true", help="go on with runs that exist")
+    parser.add_argument("--resume", action="store_true", help="continue existing runs")
     parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
     parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR)
     parser.add_argument("--no-evaluation", action="store_true", help="train only")
@@ -99,21 +102,19 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _plans(args: argparse.Namespace) -> list[Plan]:
-    """Return all runs, one seed of every experiment after the other.
-
-    Raises:
-        ConfigError: an experiment or a run cannot be used.
-    """
+    """Return the plans of all runs, ordered by seed; raise ConfigError for unusable arguments."""
     clips = [word for word in args.clips or () if "=" not in word]
     names = [word for word in args.what if "=" not in word]
     extra = [word for word in (*args.what, *(args.clips or ())) if "=" in word]
     if not names:
-        raise ConfigError("give an experiment; benchmarks/experiments.yaml lists them")
+        raise ConfigError("give an experiment; benchmarks/experiments.yaml lists all experiments")
     if args.motion_file and not any(needs_motion_file(name) for name in names):
-        raise ConfigError(f"--motion-file has no effect: {', '.join(names)} have their own clips")
+        raise ConfigError(f"--motion-file has no effect for {', '.join(names)}; leave it out")
     for word, given in (("--clips", bool(clips)), ("--until-learned", args.until_learned)):
         if given and CLIPS not in names:
-            raise ConfigError(f"{word} has no effect: {', '.join(names)}; add {CLIPS}")
+            raise ConfigError(
+                f"{word} has no effect for {', '.join(names)}; give the experiment {CLIPS}"
+            )
     if CLIPS in names:
         return _plans_of_clips(names, clips or DEFAULT_CLIPS, args, extra)
     experiments = [find_experiment(name, args.motion_file, extra) for name in names]
@@ -127,16 +128,18 @@ def _plans(args: argparse.Namespace) -> list[Plan]:
 def _plans_of_clips(
     names: Sequence[str], clips: Sequence[str], args: argparse.Namespace, extra: Sequence[str]
 ) -> list[Plan]:
-    """Return one run for each clip that is not done yet; without time if it lacks a record only.
+    """Return one run for each clip that still lacks training or a record.
+
+    A run has 0 minutes if only the record is missing.
 
     Raises:
-        ConfigError: other experiments beside them, or a clip or a run cannot be used.
+        ConfigError: there are other experiments, or a clip or a run cannot be used.
     """
     if len(names) > 1:
-        raise ConfigError(f"{CLIPS} has folders of its own; give it alone, not {', '.join(names)}")
+        raise ConfigError(f"{CLIPS} has separate folders; give it alone, not {', '.join(names)}")
     experiments = clip_experiments(clips, extra)
     found = newest_records([each.name for each in experiments], args.results_dir)
-    done = {(record.experiment, record.seed): record for of in found.values() for record in of}
+    done = {(r.experiment, r.seed): r for records in found.values() for r in records}
     plans = []
     for seed in args.seeds or (1,):
         for each in experiments:
@@ -152,16 +155,17 @@ def _plans_of_clips(
 
 
 def cpu_slots(parallel: int, cores_per_run: int | None = None) -> list[Sequence[int]]:
-    """Return the CPUs of each of `parallel` places, none of them twice.
+    """Return disjoint sets of CPUs for `parallel` simultaneous runs.
 
     Raises:
-        ConfigError: there are not so many.
+        ConfigError: this process may use too few CPUs.
     """
     cores = sorted(os.sched_getaffinity(0))
     size = cores_per_run or len(cores) // max(1, parallel)
     if parallel < 1 or size < 1 or parallel * size > len(cores):
         raise ConfigError(
-            f"--parallel {parallel} --cores-per-run {size}: this process may use {len(cores)} CPUs"
+            f"--parallel {parallel} --cores-per-run {size}: this process may use {len(cores)} CPUs;"
+            " give smaller values of at least 1"
         )
     return [cores[i * size : (i + 1) * size] for i in range(parallel)]
 

@@ -1,4 +1,4 @@
-"""The learning curve of a run from its TensorBoard files, and when it reached what."""
+"""Reads the learning curve of a run from its TensorBoard files."""
 
 from __future__ import annotations
 
@@ -27,21 +27,19 @@ TAGS = {
     "disc_demo_logit": ("info/disc_demo_logit",),
     "episode_return": ("rewards/frame", "rewards/step"),
 }
-"""Names of curves -> scalar of our agents' runs, and of rl_games' own where it differs."""
-_NUM_ENVS = "task.env.numEnvs"
-_OF_EPISODES = ("episode_length", "episode_return")
-# All environments of a resumed run begin together: in the time of one whole episode only shorter
-# ones have ended, then all that are left end at once, and the next are nearly as uneven.
+"""The table maps each curve to the tag of our agents, then to the tag of rl_games' agents."""
+# In a resumed run all episodes begin together, so short episodes end first and long ones together.
+# The means of finished episodes are biased for about this many full episodes.
 _UNEVEN_EPISODES = 2
 
 
 @dataclass(frozen=True)
 class LearningCurve:
-    """The scalars of `TAGS` over a training, each possibly without values; see `read_scalars`.
+    """The scalars of `TAGS` over a training; a scalar may have no values. See `read_scalars`.
 
     Attributes:
         series: name -> scalar.
-        num_envs: environments of the training; 0 where that is not known.
+        num_envs: number of environments of the training; 0 if unknown.
     """
 
     series: Mapping[str, Series]
@@ -51,30 +49,31 @@ class LearningCurve:
         return self.series[name]
 
     def even(self, name: str) -> Series:
-        """Return a scalar without what it was while a resumed run had ended short episodes only."""
+        """Return a scalar; drop the biased means of episodes at the start of a resumed run."""
         series, lengths = self.series[name], self.series["episode_length"]
-        if name not in _OF_EPISODES or len(lengths) == 0:
+        if name not in ("episode_length", "episode_return") or len(lengths) == 0:
             return series
         return series.without(_UNEVEN_EPISODES * float(lengths.values.max()) * self.num_envs)
 
     @property
     def minutes(self) -> float:
-        """Minutes trained so far."""
+        """The trained minutes."""
         clock = self.series["fps"].minutes
         return float(clock[-1]) if len(clock) else 0.0
 
     def minutes_at(self, frames: float) -> float:
-        """Return the minutes trained when a checkpoint of so many frames was written."""
+        """Return the minutes of training before the checkpoint with this number of frames."""
         clock = self.series["fps"]
         before = int(np.searchsorted(clock.frames, frames))
         return float(clock.minutes[before - 1]) if before else 0.0
 
 
 def read_learning_curve(summaries: Path) -> LearningCurve:
-    """Read the event files in a run's folder summaries/; an empty curve if there are none."""
+    """Read the event files of a run's folder summaries/; without files the curve is empty."""
     scalars = read_scalars(summaries)
     config = summaries.parent / "config.yaml"
-    register_resolvers()  # of the folder's config.yaml
-    num_envs = OmegaConf.select(OmegaConf.load(config), _NUM_ENVS) if config.is_file() else None
-    series = {name: first_of(scalars, tags) for name, tags in TAGS.items()}
-    return LearningCurve(series, num_envs or 0)
+    num_envs = 0
+    if config.is_file():
+        register_resolvers()  # config.yaml may use them
+        num_envs = OmegaConf.select(OmegaConf.load(config), "task.env.numEnvs") or 0
+    return LearningCurve({name: first_of(scalars, tags) for name, tags in TAGS.items()}, num_envs)

@@ -1,4 +1,4 @@
-"""The machine a number was measured on, in one line."""
+"""Describes this machine in one line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from isaacgymenvs_lite.commands.installation import cpu_name
 
 
 def describe_machine() -> str:
-    """Return processor, cores, the GPU if there is one, and the versions that matter."""
+    """Return processor, cores, GPU if present, and versions of Python, torch and MuJoCo."""
     gpu = f" {torch.cuda.get_device_name()}," if torch.cuda.is_available() else ""
     return (
         f"{cpu_name()}, {os.cpu_count()} cores,{gpu} Python {platform.python_version()},"

@@ -1,7 +1,8 @@
-"""What the measurements of played policies share: which checkpoints, and a line of results."""
+"""Shares command line, checkpoints and results between the benchmarks that play policies."""
 
 from __future__ import annotations
 
+import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -9,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from benchmarks.machine import describe_machine
-from benchmarks.protocol import EPISODE_STEPS
-from benchmarks.runs import Run, find_runs
+from benchmarks.protocol import EPISODE_STEPS, SEED
+from benchmarks.runs import DEFAULT_RUNS_DIR, Run, find_runs
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 
@@ -18,16 +19,35 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 
-def find_targets(words: Sequence[str], runs_dir: Path) -> list[tuple[Run, Path]]:
-    """Return runs and checkpoints for the words that are no overrides.
+RESULTS_DIR = Path(__file__).with_name("results")
+
+
+def parser_of(module_docstring: str | None, kinds: Sequence[str] = ()) -> argparse.ArgumentParser:
+    """Return a parser with the common arguments, and with the first argument `kind` for kinds."""
+    parser = argparse.ArgumentParser(description=(module_docstring or "").partition("\n")[0])
+    if kinds:
+        parser.add_argument("kind", choices=kinds)
+    parser.add_argument("what", nargs="+", help="checkpoints, run folders, experiments, overrides")
+    parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
+    parser.add_argument("--evaluation-seed", type=int, default=SEED)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--write", action="store_true", help="add the results to --results-dir")
+    parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR)
+    return parser
+
+
+def find_targets(
+    words: Sequence[str], runs_dir: Path, epoch: int | None = None
+) -> list[tuple[Run, Path]]:
+    """Return the runs and checkpoints that the command line names.
 
     Args:
-        words: checkpoints, run folders, experiments (the newest checkpoint of each seed), and
-            `key=value`.
-        runs_dir: where the runs of experiments are.
+        words: checkpoints, run folders and experiments; overrides `key=value` are skipped.
+        runs_dir: folder of the experiments' runs.
+        epoch: epoch of the checkpoint in each run; None selects the newest checkpoint.
 
     Raises:
-        UserError: a word means nothing, or a run has no checkpoint.
+        UserError: there is no such run, or a run has no such checkpoint.
     """
     found = []
     for word in words:
@@ -37,7 +57,8 @@ def find_targets(words: Sequence[str], runs_dir: Path) -> list[tuple[Run, Path]]
             found.append((Run.at(Path(word).absolute().parent.parent), Path(word)))
             continue
         for run in find_runs(word, runs_dir):
-            checkpoint = run.newest_checkpoint()
+            newest = run.newest_checkpoint()
+            checkpoint = newest if epoch is None else run.checkpoint_of_epoch(epoch)
             if checkpoint is None:
                 raise CheckpointError(f"{run.folder}: no checkpoint in nn/")
             found.append((run, checkpoint))
@@ -56,7 +77,7 @@ def append_result(
     episodes: int,
     episode_steps: int = EPISODE_STEPS,
 ) -> None:
-    """Add a line to `<name>.jsonl`: what was found, and of what."""
+    """Append the result `found` of a checkpoint to `<folder>/<name>.jsonl` as one line."""
     starts = run.starts()
     row: dict[str, Any] = {
         "experiment": name,

@@ -1,4 +1,4 @@
-"""The fixed evaluation protocol: how a checkpoint is played and what is measured."""
+"""Plays a checkpoint by the fixed evaluation protocol and measures its motion."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ T = TypeVar("T")
 EPISODES = 32
 EPISODE_STEPS = 300
 SEED = 1234
-"""Of the starts of the episodes; every policy gets the same ones."""
+"""This seed draws the starts of the episodes, which are the same for every policy."""
 
 IMITATION_SETTINGS = {
     "task.env.episodeLength": EPISODE_STEPS,
     "task.env.stateInit": "Random",
     "task.env.enableEarlyTermination": True,
 }
-"""How policies that imitate are played."""
+"""Policies that imitate clips are played with these settings (path in the tree -> value)."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one policy reached.
+    """Measurements of one policy.
 
     Attributes:
         imitation: pose error, falls, tempo, episode length.
-        speed_m_s: mean length of the root's way along the ground per second.
-        clip_speed_m_s: the same of the reference clips.
-        goal_errors: means of the errors of the task's goal, by name.
+        speed_m_s: mean speed of the root along the ground.
+        clip_speed_m_s: mean speed of the root in the reference clips.
+        goal_errors: name -> mean error of the task's goal.
     """
 
     imitation: ImitationResult
@@ -55,10 +55,10 @@ class Outcome:
 
 
 class SpeedProbe:
-    """Measures how fast the roots of N environments move along the ground in their first episode.
+    """Measures the speed of the roots along the ground in each environment's first episode.
 
     Args:
-        num_envs: N.
+        num_envs: number N of environments.
         dt_s: control step.
     """
 
@@ -70,7 +70,12 @@ class SpeedProbe:
         self._before: Tensor | None = None
 
     def step(self, root_pos_w: Tensor, dones: Tensor) -> None:
-        """Take the positions (N, 3) m after a control step, before resets, and the dones (N,)."""
+        """Add a control step.
+
+        Args:
+            root_pos_w: (N, 3) m, positions after the step and before resets.
+            dones: (N,), nonzero where the episode ends.
+        """
         if self._before is not None:
             moved_m = torch.linalg.vector_norm((root_pos_w - self._before)[:, :2], dim=-1)
             self._way_m += moved_m * self._playing
@@ -79,14 +84,14 @@ class SpeedProbe:
         self._playing &= dones == 0
 
     def mean_m_s(self) -> float:
-        """Return the mean over the environments that have moved; nan if none has."""
+        """Return the mean over the environments with at least one step; nan if none has."""
         speeds = self._way_m / (self._steps * self._dt_s)
         speeds = speeds[speeds.isfinite()]
         return speeds.mean().item() if len(speeds) else math.nan
 
 
 def clip_speed_m_s(motion_lib: MotionLib, dt_s: float) -> float:
-    """Return the mean speed of the clips' roots along the ground, sampled every `dt_s`."""
+    """Return the mean speed of the root along the ground in the clips, sampled every `dt_s`."""
     speeds = []
     for motion_id in range(motion_lib.num_motions()):
         steps = max(1, int(float(motion_lib.get_motion_length([motion_id])) / dt_s))
@@ -106,17 +111,14 @@ def evaluate_checkpoint(
     overrides: tuple[str, ...] = (),
     episodes: int = EPISODES,
 ) -> Outcome:
-    """Measure the imitation of a checkpoint by the protocol, with the settings of its run.
+    """Measure the imitation of a checkpoint with the settings of its run; see `play_checkpoint`.
 
     Args:
         checkpoint: a file in the folder nn/ of a run folder.
-        seed: of the starts.
-        num_threads: for physics and networks.
-        overrides: settings that replace the run's, such as `task.env.motion_file=...`.
-        episodes: how many are played, one in each environment.
-
-    Raises:
-        UserError: the checkpoint or the run's settings cannot be used.
+        seed: seed of the episodes' starts.
+        num_threads: threads of physics and networks.
+        overrides: settings with precedence over all others, `key=value`.
+        episodes: number of episodes, one in each environment.
     """
     return play_checkpoint(
         checkpoint,
@@ -137,22 +139,22 @@ def play_checkpoint(
     num_threads: int = 1,
     overrides: tuple[str, ...] = (),
 ) -> T:
-    """Play a checkpoint with the settings of the run that it lies in, and the protocol's.
+    """Play a checkpoint with the settings of its run and of the protocol.
 
     Args:
         checkpoint: a file in the folder nn/ of a run folder.
-        measure: plays; gets the player and the task, and returns what it measured.
+        measure: called with the player and the task; returns the measurement.
         fixed: settings of this kind of measurement, path in the tree -> value.
-        seed: of the starts.
-        num_threads: for physics and networks.
-        overrides: settings that replace all others.
+        seed: seed of the episodes' starts.
+        num_threads: threads of physics and networks.
+        overrides: settings with precedence over all others, `key=value`.
 
     Raises:
         UserError: the checkpoint or the run's settings cannot be used.
     """
     cfg = _protocol_config(checkpoint, num_threads, {"seed": seed, **fixed}, overrides)
     with load_player(cfg) as player:
-        seed_everything(seed)  # again, whatever making the player drew
+        seed_everything(seed)  # making the player drew random values
         return measure(player, player.env)
 
 
@@ -164,9 +166,14 @@ def _protocol_config(
     if not file.is_file():
         raise CheckpointError(
             f"{checkpoint}: no config.yaml in {file.parent}; expected a checkpoint in the folder nn"
-            " of the run folder that train.py made"
+            " of a run folder of train.py"
         )
-    cfg = _with_launch_keys(read_yaml(file))
+    # The run's config.yaml may be older than some keys of cfg/config.yaml.
+    root = read_yaml(cfg_dir() / "config.yaml")
+    for key in ("defaults", "hydra"):
+        root.pop(key, None)
+    cfg = OmegaConf.merge(root, read_yaml(file))
+    assert isinstance(cfg, DictConfig)
     protocol = {
         "test": True,
         "checkpoint": str(checkpoint),
@@ -184,21 +191,11 @@ def _protocol_config(
     return cfg
 
 
-def _with_launch_keys(cfg: DictConfig) -> DictConfig:
-    """Add the keys of cfg/config.yaml that the run's version did not have."""
-    root = read_yaml(cfg_dir() / "config.yaml")
-    for key in ("defaults", "hydra"):
-        root.pop(key, None)
-    merged = OmegaConf.merge(root, cfg)
-    assert isinstance(merged, DictConfig)
-    return merged
-
-
 def _measure_imitation(player: Any, env: Any) -> Outcome:
     if not hasattr(env, "motion_lib"):
         raise ConfigError(
-            f"task={env.cfg['name']}: no reference motions to be compared with; expected a policy"
-            " of a task that has them, or python -m benchmarks.returns"
+            f"task={env.cfg['name']}: the task has no reference motions; measure its policies with"
+            " python -m benchmarks.returns"
         )
     speed = SpeedProbe(env.num_envs, env.dt)
     result = evaluate(

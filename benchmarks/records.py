@@ -1,4 +1,4 @@
-"""Results of the fixed protocol: one record per policy, their medians, files and tables."""
+"""Collects results of the fixed protocol in records, and prints their medians and tables."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from benchmarks import tables
 from benchmarks.runs import plain
 
 GOOD_EPISODE_STEPS = 280
-"""Mean episode length in training, of 300, at which a policy counts as standing on its feet."""
+"""A policy counts as stable at this mean episode length in training; the limit is 300 steps."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """One policy, measured; None where a number is unknown or was not reached.
+    """Measurements of one policy; None marks an unknown value or a target that was not reached.
 
     Attributes:
         run: name of the run folder.
-        frames: trained when the checkpoint was written.
-        minutes: trained when the checkpoint was written, see `LearningCurve`.
-        minutes_to_280: until the mean episode length in training first was at least 280.
-        frames_to_280: the same in frames.
-        minutes_to_learned: until the training measured twice in a row that the clip is learned, see
-            `benchmarks.learned`.
-        frames_to_learned: the same in frames.
-        no_fall_share: 0 to 1.
-        motion_shown: share of the clips' motion, 0 to 1, see `evaluation.motion_coverage`.
-        speed_m_s: of the root along the ground.
-        goal_errors: means by name, such as `velocity_error_m_s`; {} for a task without a goal.
-        evaluation_seed: of the episodes' starts.
-        machine: that it was trained on.
-        commit: that it was trained with; several if it was resumed with another.
-        cores: number of CPUs that it was trained on.
-        settings: the experiment's overrides, files without their folders.
+        frames: frames of training before the checkpoint.
+        minutes: minutes of training before the checkpoint, see `LearningCurve`.
+        minutes_to_280: minutes until the mean episode length in training reached 280.
+        frames_to_280: frames until the mean episode length in training reached 280.
+        minutes_to_learned: minutes until two good measurements in a row, see `benchmarks.learned`.
+        frames_to_learned: frames until two good measurements in a row.
+        no_fall_share: share of the episodes without a fall.
+        motion_shown: share of the clips' motion that the policy performs, 0 to 1, see
+            `evaluation.motion_coverage`.
+        speed_m_s: mean speed of the root along the ground.
+        goal_errors: name -> mean error, for example `velocity_error_m_s`; {} without a goal.
+        evaluation_seed: seed of the episodes' starts.
+        machine: machine of the training.
+        commit: commits of the training, several if it was resumed with another commit.
+        cores: number of CPUs of the training.
+        settings: the experiment's overrides; files are without their folders.
     """
 
     experiment: str
@@ -71,7 +71,6 @@ class Record:
         return f"{self.experiment} seed {self.seed}: {numbers_line(asdict(self))}"
 
 
-# What a median is taken of.
 _MEDIANS = ("frames", "minutes", "pose_error_m", "no_fall_share", "tempo", "motion_shown")
 _MEDIANS += ("speed_m_s", "clip_speed_m_s", "mean_episode_steps", "minutes_to_280", "frames_to_280")
 _MEDIANS += ("minutes_to_learned", "frames_to_learned")
@@ -80,28 +79,28 @@ _MEDIANS += ("minutes_to_learned", "frames_to_learned")
 def medians(records: Sequence[Record]) -> dict[str, Any]:
     """Return the medians over the seeds of one experiment.
 
-    A seed without a number (which never reached 280 steps) counts as the largest; None is a median
-    among those.
+    None counts as infinite, for example the minutes to 280 steps of a seed that never reached them.
+    A median that is infinite is None.
     """
-    found: dict[str, Any] = {
-        name: plain(float(np.median([_or_infinite(getattr(record, name)) for record in records])))
-        for name in _MEDIANS
-    }
-    errors = {name: [r.goal_errors.get(name) for r in records] for name in _error_names(records)}
+
+    def median(values: Iterable[float | None]) -> float | None:
+        return plain(float(np.median([_or_infinite(value) for value in values])))
+
+    found: dict[str, Any] = {name: median(getattr(r, name) for r in records) for name in _MEDIANS}
     found["goal_errors"] = {
-        name: plain(float(np.median([_or_infinite(value) for value in values])))
-        for name, values in errors.items()
+        name: median(record.goal_errors.get(name) for record in records)
+        for name in _error_names(records)
     }
     return found
 
 
 def _error_names(records: Iterable[Record]) -> list[str]:
-    """Return the names of the records' goal errors, in the order of their first appearance."""
+    """Return the names of the goal errors, in the order of their first appearance."""
     return list(dict.fromkeys(name for record in records for name in record.goal_errors))
 
 
 def numbers_line(n: dict[str, Any]) -> str:
-    """Return the numbers of a record or of medians on one line."""
+    """Return the values of a record or of medians on one line."""
     errors = "".join(f" {name} {_number(e, '.3f')}," for name, e in n["goal_errors"].items())
     return (
         f"{n['frames'] / 1e6:.2f} M frames, {_number(n['minutes'], '.1f')} min;"
@@ -134,7 +133,7 @@ def by_experiment(records: Iterable[Record]) -> dict[str, list[Record]]:
 
 
 def markdown_table(records: Sequence[Record]) -> str:
-    """Return a table for docs/: one row per experiment, medians with the extremes behind them."""
+    """Return a Markdown table with one row for each experiment; see `spread_cell`."""
     columns: list[tuple[str, str, float, str]] = [
         ("frames (M)", "frames", 1e-6, ".1f"),
         ("minutes", "minutes", 1, ".0f"),
@@ -154,25 +153,17 @@ def markdown_table(records: Sequence[Record]) -> str:
     columns += [(name.replace("_", " "), name, 1, ".3f") for name in errors]
     rows = []
     for experiment, group in by_experiment(records).items():
-        cells = [
-            spread_cell([_times(_value(r, name), factor) for r in group], form)
-            for _, name, factor, form in columns
-        ]
+        cells = []
+        for _, name, factor, form in columns:
+            values = [getattr(record, name, record.goal_errors.get(name)) for record in group]
+            scaled = [None if value is None else value * factor for value in values]
+            cells.append(spread_cell(scaled, form))
         rows.append([experiment, f"{len(group)}", *cells])
     return tables.markdown(["experiment", "seeds", *(title for title, *_ in columns)], rows)
 
 
-def _value(record: Record, name: str) -> float | None:
-    """Return a number of a record, or a goal's error of this name."""
-    return getattr(record, name) if hasattr(record, name) else record.goal_errors.get(name)
-
-
-def _times(value: float | None, factor: float) -> float | None:
-    return None if value is None else value * factor
-
-
 def spread_cell(values: Sequence[float | None], form: str) -> str:
-    """Return "median (least to largest)" for a table; None and nan are the largest, as `medians`.
+    """Return "median (lowest to highest)" for a table; None and nan count as infinite.
 
     >>> spread_cell([11.0, None, 12.5], ".1f")
     '12.5 (11.0 to none)'
@@ -190,17 +181,16 @@ def _or_infinite(value: float | None) -> float:
 
 
 def write_records(records: Iterable[Record], folder: Path) -> list[Path]:
-    """Write records to `<folder>/<experiment>.jsonl`, by seed and frames; return the files.
+    """Write records to `<folder>/<experiment>.jsonl`, sorted by seed and frames; return the files.
 
-    A record replaces the one of the same run, frames and evaluation seed. Lines that
-    `benchmarks.hierarchy` has written into the file are kept, and come first.
+    A record replaces an older record of the same run, frames and evaluation seed. Result lines of
+    `benchmarks.hierarchy` in the file are kept and come first.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for experiment, group in by_experiment(records).items():
         file = folder / f"{experiment}.jsonl"
-        known = {_key(record): record for record in read_records(file)}
-        known |= {_key(record): record for record in group}
+        known = {(r.run, r.frames, r.evaluation_seed): r for r in [*read_records(file), *group]}
         rows = sorted(known.values(), key=lambda r: (r.seed, r.frames, r.evaluation_seed))
         others = [row for row in _rows(file) if not _is_record(row)]
         lines = [*others, *(asdict(row) for row in rows)]
@@ -211,7 +201,7 @@ def write_records(records: Iterable[Record], folder: Path) -> list[Path]:
 
 
 def read_records(file: Path) -> list[Record]:
-    """Read the records in a file; none if it does not exist. Unknown keys are ignored."""
+    """Read the records of a file and ignore unknown keys; a missing file has no records."""
     names = {column.name for column in fields(Record)}
     rows = filter(_is_record, _rows(file))
     return [Record(**{key: row[key] for key in names & row.keys()}) for row in rows]
@@ -224,12 +214,8 @@ def _rows(file: Path) -> list[dict[str, Any]]:
 
 
 def _is_record(row: dict[str, Any]) -> bool:
-    """Return whether a line is a `Record`, not a result of another kind."""
+    """Return whether a line has all required keys of `Record`."""
     required = {
         f.name for f in fields(Record) if f.default is MISSING and f.default_factory is MISSING
     }
     return required <= row.keys()
-
-
-def _key(record: Record) -> tuple[str, int, int]:
-    return record.run, record.frames, record.evaluation_seed

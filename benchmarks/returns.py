@@ -3,14 +3,13 @@
     python -m benchmarks.returns TARGET [TARGET ...] [key=value ...]
         [--runs-dir runs/benchmarks] [--write]
 
-Targets are those of `benchmarks.evaluate`. 128 episodes, one in each environment, the same starts
-for all policies; mean actions, no noise. The return is the sum of the task's rewards of an episode,
-as the task pays them. `--write` adds the numbers to benchmarks/results.
+`benchmarks.evaluate` describes the targets. Each policy plays 128 episodes with mean actions, one
+episode in each environment, from the same starts. The return is the sum of the task's rewards over
+an episode. `--write` adds the results to benchmarks/results.
 """
 
 from __future__ import annotations
 
-import argparse
 import logging
 import statistics
 import sys
@@ -18,10 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.evaluate import RESULTS_DIR
-from benchmarks.played import append_result, find_targets
+from benchmarks.played import append_result, find_targets, parser_of
 from benchmarks.protocol import SEED, play_checkpoint
-from benchmarks.runs import DEFAULT_RUNS_DIR, Run
+from benchmarks.runs import Run
 from isaacgymenvs_lite.errors import UserError
 from isaacgymenvs_lite.evaluation.evaluate import evaluate
 
@@ -31,12 +29,12 @@ _FIXED = {"num_envs": EPISODES, "task.env.numEnvs": EPISODES, "task.task.randomi
 
 @dataclass(frozen=True, kw_only=True)
 class Returns:
-    """What a policy reached, as means over the episodes.
+    """Measurements of a policy as means over the episodes.
 
     Attributes:
         episode_return: sum of the task's rewards.
-        steps: control steps.
-        max_steps: of an episode that nothing ends early.
+        steps: number of control steps.
+        max_steps: number of control steps without early termination.
     """
 
     episode_return: float
@@ -48,7 +46,7 @@ class Returns:
 
 
 def measure_returns(player: Any, env: Any) -> Returns:
-    """Play a policy; see the module docstring."""
+    """Play a policy, see the module docstring."""
     result = evaluate(env, player.act, EPISODES, on_step=getattr(player, "on_step", None))
     return Returns(
         episode_return=result.reward, steps=result.steps, max_steps=env.max_episode_length - 1
@@ -63,18 +61,9 @@ def measure_and_keep(
     num_threads: int = 1,
     overrides: tuple[str, ...] = (),
 ) -> Returns:
-    """Play a checkpoint of a run and print what it reached.
+    """Play a checkpoint of a run, print the result, and append it to a file in `results_dir`.
 
-    Args:
-        run: that the checkpoint is of.
-        checkpoint: in its folder nn/.
-        results_dir: where a line and the learning curve are written; None: nowhere.
-        seed: of the starts.
-        num_threads: for physics and networks.
-        overrides: settings that replace the run's.
-
-    Raises:
-        UserError: it cannot be played.
+    Other arguments and errors are the arguments and errors of `play_checkpoint`.
     """
     found = play_checkpoint(
         checkpoint, measure_returns, _FIXED, seed, num_threads=num_threads, overrides=overrides
@@ -87,15 +76,8 @@ def measure_and_keep(
 
 
 def main(words: list[str] | None = None) -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("what", nargs="+", help="checkpoints, run folders, experiments, overrides")
-    parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
-    parser.add_argument("--evaluation-seed", type=int, default=SEED)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--write", action="store_true", help="add the numbers to --results-dir")
-    parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR)
-    args = parser.parse_intermixed_args(words)
+    """Measure the policies and print their returns."""
+    args = parser_of(__doc__).parse_intermixed_args(words)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     found_of: dict[str, list[Returns]] = {}
     try:

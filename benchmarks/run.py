@@ -1,6 +1,6 @@
-"""All measurements of speed and memory, one after another: `make bench`, about eight minutes.
+"""Runs all benchmarks of speed and memory in about eight minutes: `make bench`.
 
-Learning has commands of its own: docs/protocol.md.
+docs/protocol.md describes the commands that measure learning.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _BENCHMARKS = (
 
 
 def main() -> None:
-    """Run each benchmark in a process of its own."""
+    """Run each benchmark in a separate process."""
     for command in _BENCHMARKS:
         print(f"\n$ python -m {command}\n", flush=True)
         subprocess.run([sys.executable, "-m", *command.split()], cwd=_ROOT, check=True)

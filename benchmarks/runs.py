@@ -1,8 +1,9 @@
-"""Run folders of benchmarks: `<runs_dir>/<experiment>_seed<n>`, and what is noted in them."""
+"""Finds run folders of benchmarks, `<runs_dir>/<experiment>_seed<n>`, and logs their starts."""
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import subprocess
@@ -31,10 +32,10 @@ class Start:
 
     Attributes:
         settings: the experiment's overrides.
-        command: what was run, as one would type it.
-        cores: CPUs it was pinned to.
+        command: the command line.
+        cores: CPUs of the process.
         machine: see `describe_machine`.
-        commit: of the source tree, "-dirty" behind it if files were changed.
+        commit: commit of the source tree, with the suffix "-dirty" if files were changed.
         started_at: local time, ISO 8601.
     """
 
@@ -56,12 +57,12 @@ class Run:
 
     @classmethod
     def of(cls, runs_dir: Path, experiment: str, seed: int) -> Run:
-        """Return the run of an experiment's seed, which need not exist yet."""
+        """Return the run of an experiment's seed; the folder may be missing."""
         return cls(experiment, seed, runs_dir / f"{experiment}_seed{seed}")
 
     @classmethod
     def at(cls, folder: Path) -> Run:
-        """Return the run in a folder that train.py made, whatever its name.
+        """Return the run in a folder of train.py, which may have any name.
 
         Raises:
             CheckpointError: there is no config.yaml.
@@ -70,26 +71,28 @@ class Run:
         if (folder / "config.yaml").is_file():
             cfg = read_yaml(folder / "config.yaml")
             return cls(re.sub(r"_seed\d+$", "", name), int(OmegaConf.select(cfg, "seed")), folder)
-        raise CheckpointError(f"{folder}: no run folder; expected one with config.yaml and nn/")
+        raise CheckpointError(
+            f"{folder}: no run folder; expected a folder with config.yaml and nn/"
+        )
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """The name in messages."""
         return f"{self.experiment} seed {self.seed}"
 
     def newest_checkpoint(self) -> Path | None:
-        """Return the checkpoint that was written last."""
+        """Return the last written checkpoint, None if there is no checkpoint."""
         return RunFolder(self.folder.parent, self.folder.name).newest_checkpoint()
 
     def has_motions(self) -> bool:
-        """Return whether its task has reference motions, which a policy can be compared with."""
+        """Return whether the task has reference motions."""
         return OmegaConf.select(read_yaml(self.folder / "config.yaml"), _CLIP) is not None
 
     def checkpoint_of_epoch(self, epoch: int) -> Path:
-        """Return the checkpoint that was saved after an epoch.
+        """Return the checkpoint of an epoch.
 
         Raises:
-            CheckpointError: there is none.
+            CheckpointError: there is no checkpoint of this epoch.
         """
         found = sorted(self.folder.glob(f"nn/last_*_ep_{epoch}_rew_*.pth"))
         if not found:
@@ -97,26 +100,20 @@ class Run:
         return found[-1]
 
     def starts(self) -> list[Start]:
-        """Return the starts that were noted, the first one first."""
+        """Return the noted starts in the order of time."""
         file = self.folder / _STARTS_FILE
         lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
         return [Start(**json.loads(line)) for line in lines]
 
     def note_start(self, start: Start) -> None:
-        """Add a start; makes the folder."""
+        """Append a start to the log in the folder, and make the folder if it is missing."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with (self.folder / _STARTS_FILE).open("a", encoding="utf-8") as file:
             file.write(json.dumps(asdict(start)) + "\n")
 
 
 def start_now(settings: Sequence[str], command: str, cores: Sequence[int]) -> Start:
-    """Return the note of a start on this machine, now, with this source tree."""
-    now = datetime.now().isoformat(timespec="seconds")
-    return Start(list(settings), command, list(cores), describe_machine(), commit(), now)
-
-
-def commit() -> str:
-    """Return the commit of this source tree, "unknown" outside of a checkout."""
+    """Return a start with the current time, machine and commit ("unknown" outside a checkout)."""
     result = subprocess.run(
         ["git", "describe", "--always", "--dirty", "--abbrev=10", "--exclude=*"],
         cwd=ROOT,
@@ -125,18 +122,20 @@ def commit() -> str:
         text=True,
         check=False,
     )
-    return result.stdout.strip() or "unknown"
+    commit = result.stdout.strip() or "unknown"
+    now = datetime.now().isoformat(timespec="seconds")
+    return Start(list(settings), command, list(cores), describe_machine(), commit, now)
 
 
 def find_runs(target: str, runs_dir: Path) -> list[Run]:
-    """Return the runs that a word of the command line means, by seed.
+    """Return the runs of a target, sorted by seed.
 
     Args:
-        target: a run folder, or the name of an experiment: all its seeds in `runs_dir`.
+        target: a run folder, or the name of an experiment for all its seeds in `runs_dir`.
         runs_dir: folder of the run folders.
 
     Raises:
-        CheckpointError: there is none.
+        CheckpointError: there is no such run.
     """
     if Path(target).is_dir():
         return [Run.at(Path(target))]
@@ -149,12 +148,11 @@ def find_runs(target: str, runs_dir: Path) -> list[Run]:
         present = ", ".join(sorted(folder.name for folder in runs_dir.glob("*"))) or "nothing"
         raise CheckpointError(
             f"'{target}': neither a run folder nor an experiment with runs in {runs_dir}"
-            f" (there: {present}); train it with python -m benchmarks.learning, or give --runs-dir"
+            f" (found: {present}); train it with python -m benchmarks.learning, or give --runs-dir"
         )
     return sorted(runs, key=lambda run: run.seed)
 
 
 def plain(value: Any) -> Any:
-    """Return a number for JSON, None where it is not finite, which JSON cannot say."""
-    is_odd = isinstance(value, float) and value - value != 0.0
-    return None if is_odd else value
+    """Return a value for JSON: None in place of infinity and nan."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

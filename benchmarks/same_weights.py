@@ -1,10 +1,10 @@
-"""Checks that two checkouts train the same: the weights after three seeded epochs of each agent.
+"""Checks that two checkouts train equal weights in three seeded epochs of each agent.
 
     python -m benchmarks.same_weights                     # prints a hash for each agent
-    python -m benchmarks.same_weights ../other_checkout   # and compares with another checkout
+    python -m benchmarks.same_weights ../other_checkout   # compares with another checkout
 
-The hashes depend on the machine and on the versions of torch and MuJoCo: compare two checkouts on
-one machine. The program exits with 1 if a hash differs.
+The hashes depend on the machine and on the versions of torch and MuJoCo. Therefore compare two
+checkouts on one machine. The program exits with 1 if a hash differs.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ from pathlib import Path
 import torch
 
 COMMON = ("seed=5", "num_envs=16", "max_iterations=3", "num_threads=1", "headless=True")
-# `auto` would choose the precision by a measurement, which depends on other work on the machine.
+# `auto` chooses the precision by a measurement, which depends on the load of the machine.
 PRECISION = "++train.params.config.mixed_precision=False"
 SHORT = ("train.params.config.horizon_length=8", "train.params.config.minibatch_size=64")
 TRAININGS = {
@@ -31,7 +31,7 @@ TRAININGS = {
 
 
 def weights_hash(checkout: Path, words: tuple[str, ...]) -> str:
-    """Train with a checkout's train.py; return a hash of all tensors of the newest checkpoint."""
+    """Train with a checkout's train.py and hash all tensors of the newest checkpoint."""
     with tempfile.TemporaryDirectory() as folder:
         runs = f"++train.params.config.train_dir={folder}"
         subprocess.run(
@@ -50,7 +50,7 @@ def weights_hash(checkout: Path, words: tuple[str, ...]) -> str:
 
 
 def tensors_in(state: object, path: str = "") -> Iterator[tuple[str, torch.Tensor]]:
-    """Yield the tensors of a checkpoint, optimisers included, with their paths."""
+    """Yield path and tensor of each tensor in a checkpoint."""
     if isinstance(state, torch.Tensor):
         yield path, state
     elif isinstance(state, dict):
@@ -59,7 +59,7 @@ def tensors_in(state: object, path: str = "") -> Iterator[tuple[str, torch.Tenso
 
 
 def main() -> int:
-    """Print one line for each agent."""
+    """Print the hashes of each agent and return the exit code."""
     checkouts = [Path.cwd(), *(Path(argument) for argument in sys.argv[1:])]
     differs = False
     for agent, words in TRAININGS.items():

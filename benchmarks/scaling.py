@@ -1,15 +1,15 @@
-"""How much faster several processes train: frames per second of ranks with one CPU each.
+"""Measures how much faster several processes (ranks) train than one process.
 
     python -m benchmarks.scaling [--ranks 2] [--num-envs 1024] [--epochs 6] [--rounds 2] [key=value]
 
-Trains HumanoidAMP in turns, as torchrun starts it:
+The command trains HumanoidAMP with torchrun, in turns with
 
-- 1 rank x 1 thread, pinned to one CPU;
-- N ranks x 1 thread, each pinned to a CPU of its own, with as many environments each;
-- 1 rank x N threads, with the environments and the minibatches of the N ranks together.
+- 1 rank x 1 thread, which is pinned to one CPU;
+- N ranks x 1 thread, each with its own CPU and with the same number of environments;
+- 1 rank x N threads, with the environments and the minibatches of all N ranks.
 
-Prints the median frames per second of whole epochs of all ranks, and the ratios. Nothing else may
-run.
+It prints the median frames per second of whole epochs, summed over the ranks, and the ratios. The
+machine must be idle.
 """
 
 from __future__ import annotations
@@ -23,20 +23,19 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as train.py, before torch is imported
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # train.py also sets it before importing torch
 
 from benchmarks.from_inside import EpochTimes, train_from_inside
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 
-# Until the replay buffer is full: its memory is touched for the first time before that.
-_WARM_UP_EPOCHS = 14
+_WARM_UP_EPOCHS = 14  # until the replay buffer is full, which allocates memory
 _MINIBATCH, _AMP_MINIBATCH = 4096, 512
 
 
 def inside(args: argparse.Namespace) -> None:
-    """Train as one rank; the main one writes the frames per second of all ranks to a file."""
+    """Train as one rank; rank 0 writes the frames per second of all ranks to a file."""
     ranks = int(os.environ["WORLD_SIZE"])
     if args.threads == 1:
         cpus = sorted(os.sched_getaffinity(0))
@@ -67,7 +66,7 @@ def inside(args: argparse.Namespace) -> None:
 
 
 def measure(args: argparse.Namespace, ranks: int, threads: int, num_envs: int) -> float:
-    """Return the frames per second of a training in processes of its own."""
+    """Return the frames per second of a training in `ranks` new processes."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "fps.txt"
         command = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
@@ -81,11 +80,11 @@ def measure(args: argparse.Namespace, ranks: int, threads: int, num_envs: int) -
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure the three configurations and print the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("overrides", nargs="*", metavar="key=value")
     parser.add_argument("--ranks", type=int, default=2)
-    parser.add_argument("--num-envs", type=int, default=1024, help="of each rank")
+    parser.add_argument("--num-envs", type=int, default=1024, help="environments of each rank")
     parser.add_argument("--epochs", type=int, default=6)
     parser.add_argument("--rounds", type=int, default=2)
     for hidden in ("--out", "--folder"):

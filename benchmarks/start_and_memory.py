@@ -1,10 +1,10 @@
-"""Time from the command to the first training step, and peak memory, of `python train.py`.
+"""Measures the start time and the peak memory of `python train.py`.
 
     python -m benchmarks.start_and_memory [--num-envs 4096] [--epochs 18] [key=value ...]
 
-The first training step counts as made when the first progress line appears, which is after the
-first whole epoch: an upper bound. Memory is the peak resident size of the training process; 18
-epochs of 4096 x 16 samples are enough to fill the replay buffer of 1,000,000 rows.
+The start time ends with the first progress line, which appears after the first epoch. It is an
+upper bound of the time to the first training step. Memory is the peak resident size of the training
+process. 18 epochs of 4096 x 16 samples fill the replay buffer of 1,000,000 rows.
 """
 
 from __future__ import annotations
@@ -23,32 +23,25 @@ from benchmarks.machine import describe_machine
 _TRAIN = Path(__file__).resolve().parents[1] / "train.py"
 
 
-def run_training(overrides: Sequence[str], folder: str) -> float:
-    """Run a training in a working folder; return seconds to the first progress line."""
-    start = time.perf_counter()
-    process = subprocess.Popen(
-        [sys.executable, str(_TRAIN), *overrides], cwd=folder, stderr=subprocess.PIPE, text=True
-    )
-    first_epoch_s = float("nan")
-    assert process.stderr is not None
-    for line in process.stderr:
-        if line.startswith("epoch 1/"):
-            first_epoch_s = time.perf_counter() - start
-    if process.wait() != 0:
-        raise SystemExit(f"train.py failed with exit code {process.returncode}")
-    return first_epoch_s
-
-
 def run_humanoid_amp(overrides: Sequence[str]) -> tuple[float, float]:
     """Return seconds to the first progress line and peak memory in GiB of one training."""
+    first_epoch_s = float("nan")
+    command = [sys.executable, str(_TRAIN), "task=HumanoidAMP", *overrides]
     with tempfile.TemporaryDirectory() as folder:
-        first_epoch_s = run_training(["task=HumanoidAMP", *overrides], folder)
+        start = time.perf_counter()
+        process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True)
+        assert process.stderr is not None
+        for line in process.stderr:
+            if line.startswith("epoch 1/"):
+                first_epoch_s = time.perf_counter() - start
+        if process.wait() != 0:
+            raise SystemExit(f"train.py failed with exit code {process.returncode}")
     peak_kib = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     return first_epoch_s, peak_kib / 2**20
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure start time and memory and print them."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--num-envs", type=int, default=4096)
     parser.add_argument("--epochs", type=int, default=18)

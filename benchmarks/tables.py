@@ -1,4 +1,4 @@
-"""Markdown tables, as docs/ has them and a terminal shows them."""
+"""Writes Markdown tables."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ from collections.abc import Iterable, Sequence
 
 
 def markdown(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table, without a line end.
+    """Return a Markdown table without a final newline.
 
     >>> print(markdown(["clip", "tempo"], [["walk", "1.0"]]))
     | clip | tempo |
     |---|---|
     | walk | 1.0 |
     """
-    lines = [_line(headings), "|---" * len(headings) + "|", *map(_line, rows)]
-    return "\n".join(lines)
 
+    def line(cells: Sequence[str]) -> str:
+        return "|" + "".join(f" {cell} |" if cell else " |" for cell in cells)
 
-def _line(cells: Sequence[str]) -> str:
-    return "|" + "".join(f" {cell} |" if cell else " |" for cell in cells)
+    return "\n".join([line(headings), "|---" * len(headings) + "|", *map(line, rows)])

@@ -1,6 +1,6 @@
-"""Runs train.py in processes that are pinned to CPUs and end by the clock.
+"""Runs train.py in processes that are pinned to CPUs and end after a given time.
 
-With `multi_gpu=True` torchrun starts one process for each of the CPUs.
+With `multi_gpu=True` torchrun starts one process for each CPU.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Protocol
+from typing import Any
 
 from benchmarks.experiments import Experiment, override
 from benchmarks.learning_curve import LearningCurve, read_learning_curve
@@ -22,25 +22,24 @@ from benchmarks.runs import ROOT, Run, start_now
 from isaacgymenvs_lite.errors import ConfigError
 
 _POLL_S = 0.5
-_LOOK_S = 20.0  # at the learning curve, which takes a part of a second
-# A run that was asked to end finishes its epoch and writes a checkpoint; then it is asked again,
-# which ends it at once.
+_LOOK_S = 20.0  # reading the learning curve takes a part of a second
+# After the first SIGINT a run finishes its epoch and writes a checkpoint. If it still runs after
+# this time, a second SIGINT ends it at once.
 _PATIENCE_S = 120.0
-# Less time left than this is not worth a start, which itself takes several seconds.
-_SHORTEST_MIN = 0.5
+_SHORTEST_MIN = 0.5  # a start alone takes several seconds
 _RANKS = "multi_gpu=True"
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be run: made before anything starts, so that mistakes show at once.
+    """One process to start; all plans exist before the first start, which reveals mistakes early.
 
     Attributes:
-        run: whose folder it writes.
+        run: the run with its folder.
         settings: the experiment's overrides.
-        checkpoint: where it goes on, None for a new run.
-        minutes: how long, at most; 0 if the run has had its time.
-        is_over: whether a run with this curve may end before.
+        checkpoint: checkpoint of a resumed run, None for a new run.
+        minutes: time limit; 0 if the run has used its time.
+        is_over: returns whether a run with this learning curve may end early.
     """
 
     run: Run
@@ -50,7 +49,7 @@ class Plan:
     is_over: Callable[[LearningCurve], bool] = lambda curve: False
 
     def command(self, cores: Sequence[int]) -> list[str]:
-        """Return the command line of train.py for so many CPUs."""
+        """Return the command line of train.py for these CPUs."""
         run_dir = self.run.folder.absolute()
         threads = 1 if self.has_ranks else len(cores)
         words = [f"num_threads={threads}", f"++train.params.torch_threads={threads}"]
@@ -70,68 +69,53 @@ class Plan:
 
     @property
     def has_ranks(self) -> bool:
-        """Whether several processes train together."""
+        """True if several processes train together."""
         return _RANKS in self.settings
 
 
 def plan(experiment: Experiment, run: Run, minutes: float, resume: bool) -> Plan:
-    """Decide where a run begins and how long it may take.
+    """Return the plan of a run.
 
     Args:
-        experiment: what is trained.
-        run: where.
-        minutes: of training, earlier parts of a resumed run included; a start that would be left
-            with less than half a minute is not made: to start takes most of it.
-        resume: go on from the newest checkpoint if there is one.
+        experiment: the experiment.
+        run: the run with its folder.
+        minutes: time limit, which includes the earlier parts of a resumed run. If less than half a
+            minute is left, the plan has 0 minutes.
+        resume: continue from the newest checkpoint if there is one.
 
     Raises:
-        ConfigError: the run exists and is not to be resumed, or was made with other settings.
+        ConfigError: the run exists and `resume` is false, or it was trained with other settings.
     """
     checkpoint = run.newest_checkpoint()
     if checkpoint is None:
         return Plan(run, experiment.settings, None, minutes)
     if not resume:
         raise ConfigError(
-            f"{run.folder} holds a training already; --resume goes on with it, --runs-dir FOLDER"
-            " begins another"
+            f"{run.folder} holds a training already; --resume continues it, --runs-dir FOLDER"
+            " starts another training"
         )
     starts = run.starts()
-    # The last one: starts before it may have failed without a checkpoint.
+    # Earlier starts may have failed without a checkpoint.
     before = starts[-1].settings if starts else []
     if starts and sorted(before) != sorted(experiment.settings):
         changed = " ".join(sorted(set(before) ^ set(experiment.settings)))
         raise ConfigError(
             f"{run.folder} was trained with other settings, different: {changed}; give the same"
-            " ones, or --runs-dir FOLDER to begin another training"
+            " settings, or --runs-dir FOLDER for another training"
         )
-    trained_min = read_learning_curve(run.folder / "summaries").minutes
-    left_min = minutes - trained_min
+    left_min = minutes - read_learning_curve(run.folder / "summaries").minutes
     if left_min < _SHORTEST_MIN:
         left_min = 0.0
     return Plan(run, experiment.settings, checkpoint, left_min)
-
-
-class Process(Protocol):
-    """What `train_all` asks of a running training."""
-
-    run: Run
-
-    def poll(self, stop: bool) -> int | None:
-        """Return the exit code, None while it runs; end it when its time is over, or at `stop`."""
-        ...
-
-    def close(self) -> None:
-        """End it now, with a checkpoint, and wait for that; nothing if it has ended."""
-        ...
 
 
 class Training:
     """One train.py process.
 
     Args:
-        job: what it runs.
-        cores: CPUs that it is pinned to.
-        command: the command line, by default the plan's own.
+        job: the plan.
+        cores: CPUs of the process.
+        command: command line in place of the plan's command line.
         clock_s: returns the time in s.
     """
 
@@ -150,84 +134,78 @@ class Training:
         words = list(command or job.command(cores))
         self.run.note_start(start_now(job.settings, shlex.join(words), cores))
         with log_file(self.run).open("a", encoding="utf-8") as log:
-            self.process = _start(words, cores, log)
+            self.process = subprocess.Popen(
+                words,
+                env={**os.environ, "OMP_NUM_THREADS": str(len(cores))},
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # otherwise Ctrl-C would reach it a second time
+            )
+        # The threads that train.py starts later inherit the CPUs.
+        os.sched_setaffinity(self.process.pid, cores)
         self._start_s = clock_s()
         self._look_again_s = self._start_s + _LOOK_S
         self._ask_again_s = 0.0
 
     def poll(self, stop: bool) -> int | None:
-        """Return the exit code, None while it runs; end it when it is over, or at `stop`."""
+        """Return the exit code, or None while the process runs.
+
+        The process is asked to end if its time is over, if it may end early, or if `stop` is true.
+        """
         code = self.process.poll()
         now_s = self._clock_s()
         if code is None and now_s >= self._look_again_s:
             self._look_again_s = now_s + _LOOK_S
             if self._is_over(read_learning_curve(self.run.folder / "summaries")):
                 self._limit_s = 0.0
-        if code is None and (stop or now_s - self._start_s >= self._limit_s):
-            self._ask_to_end(now_s)
+        is_over = stop or now_s - self._start_s >= self._limit_s
+        if code is None and is_over and now_s >= self._ask_again_s:
+            self._interrupt()
+            self._ask_again_s = now_s + _PATIENCE_S
         return code
 
     def close(self) -> None:
-        """End it now, with a checkpoint, and wait for that; nothing if it has ended."""
+        """Ask a running process to end with a checkpoint, and wait for its end."""
         if self.process.poll() is None:
             self._interrupt()
             self.process.wait()
 
-    def _ask_to_end(self, now_s: float) -> None:
-        if now_s >= self._ask_again_s:
-            self._interrupt()
-            self._ask_again_s = now_s + _PATIENCE_S
-
     def _interrupt(self) -> None:
-        """Send Ctrl-C to train.py; not to torchrun, which would end as a failure."""
+        """Send SIGINT to train.py, because torchrun would report SIGINT as a failure."""
         if not self._has_ranks:
             self.process.send_signal(signal.SIGINT)
             return
         children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-        for pid in children.read_text(encoding="ascii").split()[:1]:  # one rank ends all
+        for pid in children.read_text(encoding="ascii").split()[:1]:  # all ranks end together
             os.kill(int(pid), signal.SIGINT)
 
 
 def log_file(run: Run) -> Path:
-    """Return the file that gets what train.py says."""
+    """Return the file with the output of train.py."""
     return run.folder / "train.log"
-
-
-def _start(words: Sequence[str], cores: Sequence[int], log: IO[str]) -> subprocess.Popen[bytes]:
-    environment = {**os.environ, "OMP_NUM_THREADS": str(len(cores))}
-    process = subprocess.Popen(
-        words,
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=log,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,  # Ctrl-C reaches it through `poll` only, and once
-    )
-    # Before it has threads, which inherit the CPUs.
-    os.sched_setaffinity(process.pid, cores)
-    return process
 
 
 def train_all(
     plans: Sequence[Plan],
     slots: Sequence[Sequence[int]],
     is_stopped: Callable[[], bool],
-    start: Callable[[Plan, Sequence[int]], Process] = Training,
+    start: Callable[[Plan, Sequence[int]], Any] = Training,
     say: Callable[[str], None] = print,
     on_end: Callable[[Run], None] = lambda run: None,
 ) -> list[Run]:
-    """Run all plans, as many at a time as there are slots; return the runs that failed.
+    """Run all plans, one in each slot at a time, and return the failed runs.
 
     Args:
-        plans: in the order in which they start.
-        slots: the CPUs of each place.
-        is_stopped: whether all should end now, with checkpoints; nothing is started then.
-        start: starts a training on CPUs.
+        plans: the plans in the order of their starts.
+        slots: the CPUs of each slot.
+        is_stopped: returns whether all runs should end now with checkpoints.
+        start: starts a plan on CPUs and returns a `Training`.
         say: shows a line to the user.
-        on_end: called with each run that ended well, unless all end now.
+        on_end: called with each successful run, unless `is_stopped` is true.
     """
     waiting, failed = list(plans), []
-    active: dict[int, Process] = {}
+    active: dict[int, Any] = {}
     try:
         while waiting or active:
             for slot, cores in enumerate(slots):

@@ -1,21 +1,22 @@
-"""How fast AMP trains: frames per second, where the time goes, and what the limit is.
+"""Measures how fast AMP trains: frames per second, a time profile, and the upper limit.
 
     python -m benchmarks.training_speed [--units 512 256] [--num-envs 512] [--epochs 8] [key=value]
     python -m benchmarks.training_speed --compare --units 1024 512
     python -m benchmarks.training_speed --against torch_deterministic=True
 
-The first trains HumanoidAMP with its default settings for some epochs and prints
+The first command trains HumanoidAMP with its default settings for some epochs. It prints
 
 - the frames per second of whole epochs,
-- a table of where the time of an epoch went, measured around the agent's own calls,
-- the sum of the parts that cannot be avoided, timed between the epochs on the same shapes (raw
-  `Batch.step`, network outputs for acting, discriminator outputs for the reward, gradient steps on
-  fixed tensors), and what share of the speed of that sum the training reaches: the median over the
-  epochs, each against the parts that were timed right after it.
+- a table with the time of each part of an epoch, measured around the agent's methods,
+- the time of the unavoidable parts, which are timed between the epochs on tensors of the same
+  shapes: raw `Batch.step`, policy outputs, discriminator outputs for the reward, gradient steps,
+- the ratio of the training's speed to the speed of the unavoidable parts alone. It is the median
+  over the epochs. Each epoch is compared with the parts that are timed right after it.
 
-`--compare` trains in turns (A B A B ...), each in a process of its own, with the defaults (A) and
-as the published loop does (B): float32, torch's own threads, the critic evaluated for all rows
-after every step. Prints the ratio. `--against key=value` compares with other settings instead.
+`--compare` trains in turns in separate processes, with the defaults and with the settings of the
+published loop, and prints the ratio of the speeds. The published loop uses float32 and torch's own
+threads, and it evaluates the critic for all environments after every step. `--against key=value`
+compares the defaults with other settings.
 """
 
 from __future__ import annotations
@@ -24,19 +25,21 @@ import argparse
 import copy
 import os
 import statistics
+import subprocess
 import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
 if "--published" not in sys.argv:
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as train.py, before torch is imported
+    # train.py also sets this variable before it imports torch.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import torch
 from mujoco.batch import Batch
 
 from benchmarks import tables
-from benchmarks.from_inside import EpochTimes, last_number_of, train_from_inside
+from benchmarks.from_inside import EpochTimes, train_from_inside
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import seed_everything
@@ -46,10 +49,9 @@ from isaacgymenvs_lite.learning.cpu.parallel import NetworkExecutor
 from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
-# Until the replay buffer is full: its memory is touched for the first time before that.
-_WARM_UP_EPOCHS = 14
+_WARM_UP_EPOCHS = 14  # until the replay buffer is full, which allocates memory
 
-# Calls that are timed, from the outside in: the time of an inner one does not count for its outer.
+# The timed methods with their rows of the table. A nested call does not count for the outer call.
 _TIMED: tuple[tuple[type, str, str], ...] = (
     (AMPAgent, "train_epoch", "rest of the epoch"),
     (AMPAgent, "play_steps", "rollout: rest"),
@@ -73,7 +75,7 @@ _TIMED: tuple[tuple[type, str, str], ...] = (
 
 
 class Stopwatch:
-    """Times nested calls; what an inner call takes does not count for the outer one."""
+    """Measures the time of nested calls; the time of an inner call counts for the inner only."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -105,9 +107,9 @@ def train(
     at_end: Callable[[Any, list[float]], str],
     between: Callable[[Any], None] = lambda agent: None,
 ) -> str:
-    """Train for the epochs asked for, each followed by between(agent), which is not timed.
+    """Train for `args.epochs` epochs and return `at_end(agent, seconds of each epoch)`.
 
-    Returns at_end(agent, seconds of each epoch).
+    `between(agent)` is called after each epoch and is not timed.
     """
     units = f"[{','.join(map(str, args.units))}]"
     cfg = compose(
@@ -138,19 +140,15 @@ def profile(args: argparse.Namespace) -> None:
     watch = Stopwatch()
     for owner, name, label in _TIMED[1:]:
         watch.wrap(owner, name, label)
-    started = _WARM_UP_EPOCHS
-
-    def clear_after_warm_up(agent: Any) -> None:
-        nonlocal started
-        if started == 0:
-            watch.seconds.clear()
-        started -= 1
-
-    before = AMPAgent.set_eval
+    left = _WARM_UP_EPOCHS
+    former = AMPAgent.set_eval
 
     def set_eval(agent: Any) -> None:
-        clear_after_warm_up(agent)
-        before(agent)
+        nonlocal left
+        if left == 0:
+            watch.seconds.clear()
+        left -= 1
+        former(agent)
 
     AMPAgent.set_eval = set_eval  # type: ignore[method-assign]
 
@@ -195,9 +193,9 @@ def profile(args: argparse.Namespace) -> None:
 
 
 def time_parts(agent: Any) -> dict[str, float]:
-    """Return the seconds that an epoch's unavoidable parts take, each timed alone.
+    """Return the seconds of an epoch's unavoidable parts, each timed alone.
 
-    The agent is left as it was.
+    The function restores the agent's weights and its optimiser.
     """
     env, network = agent.vec_env.env, agent.model.a2c_network
     simulation = env.simulation
@@ -210,7 +208,7 @@ def time_parts(agent: Any) -> dict[str, float]:
     steps = agent.mini_epochs_num * len(agent.dataset)
 
     def physics() -> None:
-        # The same step again and again: left alone the humanoids would fall and cost more.
+        # Each step starts from the same state, because fallen humanoids have more contacts.
         for _ in range(agent.horizon_length):
             raw.state[:] = simulation.batch.state
             raw.step(nstep=simulation.substeps)
@@ -253,7 +251,7 @@ def time_parts(agent: Any) -> dict[str, float]:
 
 
 def _least_s(part: Callable[[], None]) -> float:
-    """Return the time of the second of two calls, or of the first if that was quicker."""
+    """Return the shorter time of two calls in s."""
     times = []
     for _ in range(2):
         start = time.perf_counter()
@@ -263,7 +261,7 @@ def _least_s(part: Callable[[], None]) -> float:
 
 
 def published_loop(args: argparse.Namespace) -> None:
-    """Make the agent evaluate as the published loop does, in float32 with torch's own threads."""
+    """Patch the agent to evaluate like the published loop, see the module docstring."""
     parallel.parallelize = lambda model, device, precision: NetworkExecutor(device)
     AMPAgent._needs_next_value = lambda agent: torch.ones_like(agent.dones, dtype=torch.bool)  # type: ignore[method-assign]
     reset = AMPAgent.env_reset
@@ -278,17 +276,21 @@ def published_loop(args: argparse.Namespace) -> None:
 
 
 def compare(args: argparse.Namespace) -> None:
-    """Train with the defaults and with the peer, in turns."""
-    arguments = ["--fps", "--epochs", "5", "--num-envs", str(args.num_envs)]
-    arguments += ["--threads", str(args.threads), *args.overrides]
-    arguments += ["--units", *map(str, args.units)]
-    this = "benchmarks.training_speed"
+    """Train with the defaults and with the other settings in turns, and print the ratio."""
+
+    def fps_with(*settings: str) -> float:
+        command = [sys.executable, "-m", "benchmarks.training_speed", *settings]
+        command += ["--fps", "--epochs", "5", "--num-envs", str(args.num_envs)]
+        command += ["--threads", str(args.threads), *args.overrides]
+        command += ["--units", *map(str, args.units)]
+        done = subprocess.run(command, check=False, capture_output=True, text=True)
+        if done.returncode != 0:
+            raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-2000:]}")
+        return float(done.stdout.split()[-1])
+
     name = " ".join(args.against) or "published loop in float32"
     other = args.against or ["--published"]
-    pairs = [
-        (last_number_of(this, *arguments), last_number_of(this, *other, *arguments))
-        for _ in range(args.rounds)
-    ]
+    pairs = [(fps_with(), fps_with(*other)) for _ in range(args.rounds)]
     ratios = [ours / peer for ours, peer in pairs]
     ours, peer = (statistics.median(column) for column in zip(*pairs, strict=True))
     print(describe_machine())
@@ -300,7 +302,7 @@ def compare(args: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure the speed and print the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("overrides", nargs="*", help="settings, key=value")
     parser.add_argument("--units", type=int, nargs="+", default=[512, 256])
@@ -311,10 +313,10 @@ def main() -> None:
     parser.add_argument("--folder", default="/tmp/isaacgymenvs_lite_benchmark")
     parser.add_argument("--compare", action="store_true")
     parser.add_argument(
-        "--against", action="append", default=[], metavar="key=value", help="settings of the peer"
+        "--against", action="append", default=[], metavar="key=value", help="settings to compare"
     )
-    parser.add_argument("--fps", action="store_true", help="print nothing but frames per second")
-    parser.add_argument("--published", action="store_true", help="as the published loop")
+    parser.add_argument("--fps", action="store_true", help="print only the frames per second")
+    parser.add_argument("--published", action="store_true", help="train with the published loop")
     args = parser.parse_intermixed_args()
     if args.published:
         published_loop(args)

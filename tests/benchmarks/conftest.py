@@ -1,4 +1,4 @@
-"""Event files of made-up trainings, written by the project's own writer."""
+"""Writes event files of invented trainings with the project's writer."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WriteEvents = Callable[..., None]
 
 
 class Clock:
-    """Time for the writer that passes only when a test says so."""
+    """A clock for the writer, which only the test advances."""
 
     def __init__(self, now_s: float) -> None:
         self.now_s = now_s

@@ -1,4 +1,4 @@
-"""One preset for a list of clips: which ones, what counts as learned, the table and the picture."""
+"""Tests the list of clips, the end of learned trainings, and the table."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from benchmarks.learning_curve import read_learning_curve
 
 @pytest.fixture
 def two_seeds(write_events, tmp_path):
-    """Seed 1 reaches 280 in its third minute, seed 2 never."""
+    """Return curves of two seeds; seed 1 reaches 280 in its third minute, seed 2 never does."""
     for seed, lengths in ((1, [10.0, 100.0, 280.0, 290.0]), (2, [10.0, 20.0, 30.0])):
         folder = tmp_path / f"walk_seed{seed}"
         write_events(folder / "summaries", lengths, poses={1: 0.1 * seed, 2: 0.05 * seed})
@@ -27,7 +27,7 @@ def test_median_line_is_where_all_have_values():
     other = (np.array([1.0, 4.0]), np.array([0.0, 0.0]))
     x, y = median_line([line, other])
     assert (x[0], x[-1]) == (1.0, 2.0)
-    # at 1: median of 2 and 0, at 2: of 4 and 0
+    # The median of 2 and 0 is 1, and the median of 4 and 0 is 2.
     assert (y[0], y[-1]) == (1.0, 2.0)
 
 

@@ -30,7 +30,7 @@ def test_every_experiment_composes(walk_clip):
         if "motion_file" in entry:
             expected = str(walk_clip) if needs_motion_file(name) else entry.motion_file
             assert cfg.task.env.motion_file == expected
-        elif name != "clips":  # one for each clip, see benchmarks.clips
+        elif name != "clips":  # see benchmarks.clips
             assert not needs_motion_file(name)
             assert "motion_file" not in cfg.task.env
 
@@ -46,7 +46,7 @@ def test_mistakes():
     for name, clip, message in [
         ("wallk", None, "unknown experiment 'wallk' .did you mean 'walk'"),
         ("walk+fp23", None, "unknown variant 'fp23' .did you mean 'fp32'"),
-        ("walk_mocap", None, "'walk_mocap' needs its clip: --motion-file PATH"),
+        ("walk_mocap", None, "'walk_mocap' needs its clip; add --motion-file PATH"),
         ("walk_mocap", "absent.npy", "--motion-file absent.npy: no such file"),
     ]:
         with pytest.raises(ConfigError, match=message):

@@ -1,4 +1,4 @@
-"""The films of trained policies that the pages show."""
+"""Films trained policies."""
 
 from __future__ import annotations
 

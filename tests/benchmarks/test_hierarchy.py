@@ -1,4 +1,4 @@
-"""Skills and goals by the protocol, of levels that were trained for an instant."""
+"""Measures skills and goals of briefly trained levels."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def train_run(folder: Path, name: str, *settings: str) -> Path:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with runs of a low level, a high level over it, and a policy without levels."""
+    """Return a folder with runs of a low level, its high level, and a policy without levels."""
     folder = tmp_path_factory.mktemp("runs")
-    threads = torch.get_num_threads()  # runs set them for the whole process
+    threads = torch.get_num_threads()  # a run changes the whole process
     low = train_run(folder, "skills", "task=HumanoidASE", *LOW_LEVEL)
     llc = folder / "llc.yaml"
     llc.write_text(
@@ -74,7 +74,7 @@ def test_skills(runs, tmp_path, capsys) -> None:
 
 @pytest.mark.parametrize("name", ["skills", "heading_hrl", "heading_ppo"])
 def test_the_imitation_of_every_level_is_measured(runs, name) -> None:
-    """As `benchmarks.learning` does when a training has ended."""
+    """Measure the policy like `benchmarks.learning` after a training."""
     run = Run.of(runs, name, 1)
     checkpoint = run.newest_checkpoint()
     assert checkpoint is not None and run.has_motions()
@@ -97,7 +97,7 @@ def test_getting_up(runs, tmp_path, capsys) -> None:
     found = measured(runs, tmp_path, "getup", "getup", "task.env.episodeLength=95")
     assert found["got_up_share"] == 0.0  # nobody gets up by chance
     assert "getup seed 1: got up within 3 s" in capsys.readouterr().out
-    with pytest.raises(SystemExit, match="HumanoidASE never lies"):
+    with pytest.raises(SystemExit, match="HumanoidASE never starts on the ground"):
         hierarchy.main(["getup", "skills", "--runs-dir", str(runs)])
 
 
@@ -105,9 +105,9 @@ def test_getting_up(runs, tmp_path, capsys) -> None:
 def test_goals(name, runs, tmp_path) -> None:
     found = measured(runs, tmp_path, "goal", name)
     assert found["file"] == name
-    # It falls within a second or two of ten, and earns something until then.
+    # The humanoid falls in the first two of ten seconds and gets some reward before.
     assert 0.0 < found["task_return"] < 0.2
     assert found["no_fall_share"] == 0.0
-    # An untrained discriminator pays about 2 ln 2 for anything, the shipped one little for a fall.
+    # The untrained discriminator pays about 2 ln 2 per step. The shipped one pays little for falls.
     bounds = (0.8, 1.8) if name == "heading_hrl" else (0.0, 0.8)
     assert bounds[0] < found["style_reward"] < bounds[1]

@@ -1,4 +1,4 @@
-"""When a policy counts as one that moves as its clip does."""
+"""Tests when a policy counts as learned."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_paper_counts_where_it_has_a_number():
 
 
 def curve_of(**measured: list[float]) -> LearningCurve:
-    """Return the curve of a training that measured its policy, nothing else."""
+    """Return a learning curve with the measurements of the policy only."""
     return LearningCurve(
         {
             name: Series(

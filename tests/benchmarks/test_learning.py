@@ -32,7 +32,7 @@ def test_mistakes_show_before_anything_starts(tmp_path, monkeypatch):
         (["walk_mocap"], "error: the experiment 'walk_mocap' needs its clip"),
         (["walk", "--motion-file", "x.npy"], "error: --motion-file has no effect"),
         (["walk", "--parallel", "999"], "error: --parallel 999"),
-        (["clips", "walk"], "error: clips has folders of its own"),
+        (["clips", "walk"], "error: clips has separate folders"),
         (["walk", "--clips", "run"], "error: --clips has no effect"),
         (["clips", "--clips", "/nowhere/x"], "error: motion file '/nowhere/x' not found"),
     ]:
@@ -47,7 +47,7 @@ def test_mistakes_show_before_anything_starts(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_train_resume_and_record(tmp_path, monkeypatch):
-    """The real train.py: stopped by the clock, resumed, stopped, played, recorded."""
+    """The real train.py is stopped by the clock, resumed, stopped, played and recorded."""
     words = ["walk", "num_envs=8", "rl_device=cpu", "--seeds", "4", "--cores-per-run", "1"]
     folders = ["--runs-dir", str(tmp_path / "runs"), "--results-dir", str(tmp_path / "results")]
     run = Run.of(tmp_path / "runs", "walk", 4)
@@ -70,7 +70,7 @@ def test_train_resume_and_record(tmp_path, monkeypatch):
     assert len(run.starts()) == 2
     assert "resume=" in run.starts()[1].command
 
-    learning.main()  # it had its time: played again, not trained
+    learning.main()  # played again, not trained
     assert len(run.starts()) == 2
 
 

@@ -1,4 +1,4 @@
-"""The protocol on a real run of two epochs: its policy falls within a second."""
+"""Tests the protocol on a real run of two epochs, whose policy falls within a second."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.tiny import CONFIG, TINY_AMP
 
 
 def train_run(folder: Path, clip: Path, units: str = "[16,8]") -> Run:
-    """Make a training whose task is unlike the protocol's: short episodes from the default pose."""
+    """Train with short episodes from the default pose, which differ from the protocol."""
     settings = [
         *TINY_AMP,
         "seed=5",
@@ -41,7 +41,7 @@ def trained(walk_clip, tmp_path_factory) -> Run:
 
 @pytest.fixture(autouse=True, scope="module")
 def torch_threads():
-    """Runs set them for the whole process."""
+    """Restore the number of threads, which a run changes for the whole process."""
     threads = torch.get_num_threads()
     yield
     torch.set_num_threads(threads)
@@ -57,13 +57,13 @@ def test_the_protocol_sets_the_episodes_whatever_the_run_had(trained):
     outcome = evaluate_checkpoint(checkpoint_of(trained))
     result = outcome.imitation
     assert result.num_episodes == EPISODES
-    # falls, after more steps than the run's episodes had, from 32 moments of the clip
+    # The policy falls after more steps than the run's episodes had, from 32 phases of the clip.
     assert result.no_fall_share == 0.0
     assert 4 < result.mean_episode_steps < 200
     assert len(set(result.per_episode)) == EPISODES
     assert 0.0 < result.pose_error_m < 1.0
     assert outcome.clip_speed_m_s == pytest.approx(1.0, abs=1e-4)
-    # it falls out of a walk of 1 m/s
+    # The clip walks at 1 m/s.
     assert 0.1 < outcome.speed_m_s < 3.0
 
 
@@ -89,7 +89,7 @@ def test_every_policy_starts_from_the_same_states(trained, walk_clip, tmp_path, 
 
     monkeypatch.setattr(protocol, "evaluate", evaluate_and_note)
     played: list[Run] = []
-    # making a network of another size draws other random numbers
+    # A network of another size draws other random values.
     for run in (trained, train_run(tmp_path, walk_clip, units="[20,4]")):
         evaluate_checkpoint(checkpoint_of(run))
         played.append(run)
@@ -98,7 +98,8 @@ def test_every_policy_starts_from_the_same_states(trained, walk_clip, tmp_path, 
 
 
 def test_record_of_a_run(trained, tmp_path, capsys):
-    (record,) = command.evaluate_and_report([trained], results_dir=tmp_path)
+    record = command.measure(trained)
+    command.keep(record, tmp_path)
     assert (record.experiment, record.seed, record.run) == ("walk", 5, "walk_seed5")
     assert (record.frames, record.epoch) == (32, 2)
     assert record.minutes is not None and 0.0 < record.minutes < 1.0
@@ -130,7 +131,7 @@ def test_command_line(trained, tmp_path, capsys, monkeypatch):
 
 def test_speed_by_hand():
     probe = SpeedProbe(2, dt_s=0.5)
-    # environment 0: 3 m, then 1 m in 0.5 s each; environment 1 ends after its first way of 5 m
+    # Environment 0 moves 3 m and 1 m in 0.5 s each. Environment 1 ends after 5 m in 0.5 s.
     ways = [
         ([[0, 0, 1], [0, 0, 1]], [0, 0]),
         ([[3, 0, 9], [3, 4, 1]], [0, 1]),

@@ -50,7 +50,7 @@ def test_medians():
     for column, expected in [
         ([0.05, 0.03, 0.04], 0.04),
         ([0.05, 0.03], 0.04),
-        ([None, 0.03, 0.04], 0.04),  # one that has none is worse than those that have
+        ([None, 0.03, 0.04], 0.04),  # None counts as infinite
         ([None, None, 0.04], None),
         ([None, 0.04], None),
         ([None], None),
@@ -99,7 +99,7 @@ def test_a_record_replaces_the_one_of_the_same_policy_only(tmp_path):
 def test_errors_of_goals_are_shown_and_kept(tmp_path):
     errors = [{"turn_error_rad_s": 0.1}, {"turn_error_rad_s": 0.3}, {}]
     records = [replace(r, run=f"walk_seed{r.seed}") for r in seeds(goal_errors=errors)]
-    assert medians(records)["goal_errors"] == {"turn_error_rad_s": 0.3}  # without is worst
+    assert medians(records)["goal_errors"] == {"turn_error_rad_s": 0.3}  # None counts as infinite
     assert "turn_error_rad_s 0.300," in numbers_line(medians(records))
     header, _, row = markdown_table(records[:2]).splitlines()
     assert header.endswith("| turn error rad s |")

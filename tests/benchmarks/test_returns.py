@@ -1,4 +1,4 @@
-"""Returns of a classic task's policy by the protocol."""
+"""Measures the returns of a classic task's policy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from isaacgymenvs_lite.runner import run
 
 @pytest.fixture(scope="module")
 def cartpole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run folder of a short training of Cartpole."""
+    """Return the run folder of a short training of Cartpole."""
     folder = tmp_path_factory.mktemp("runs")
     run(
         compose(
@@ -35,7 +35,7 @@ def test_it_plays_whole_episodes_and_writes_a_line(cartpole: Path, tmp_path: Pat
     assert f"return {row['episode_return']:.2f}" in said
     assert (row["num_episodes"], row["max_steps"], row["seed"]) == (128, 499, 1)
     assert 1 < row["steps"] <= 499
-    # At most 1 a step, and 2 less in the step in which a pole falls.
+    # The reward is at most 1 a step and -2 in the step in which a pole falls.
     assert -2.0 < row["episode_return"] <= row["steps"]
     assert row["frames"] == 2 * 64 * 16
 

@@ -28,7 +28,7 @@ def run(tmp_path) -> Run:
 
 @pytest.fixture
 def trained(run, write_events) -> Run:
-    """A run that trained two epochs, two minutes, and saved twice."""
+    """Return a run that trained two epochs in two minutes and saved twice."""
     run.note_start(start_now(WALK.settings, "train.py", [0]))
     write_events(run.folder / "summaries", [10.0, 20.0])
     (run.folder / "nn").mkdir()
@@ -93,7 +93,7 @@ def test_a_run_goes_on_in_its_own_folder(trained):
 
 # --- one process ------------------------------------------------------------------------------
 
-# Ends at SIGINT as train.py: not at once, and with exit code 0. A second one ends it with 9.
+# The stand-in ends like train.py after SIGINT with exit code 0. A second SIGINT ends it with 9.
 STAND_IN = """
 import os, signal, sys, time
 asked = []
@@ -151,7 +151,7 @@ def test_a_process_ends_by_the_clock_with_a_checkpoint(start, run):
     assert training.poll(stop=False) is None
     clock.now_s = 120.0
     wait_for(lambda: training.poll(stop=False) is not None)
-    assert training.poll(stop=False) == 0  # asked once only, while it saved
+    assert training.poll(stop=False) == 0  # SIGINT was sent once
     assert log_file(run).read_text().splitlines()[-1] == "saved"
 
 
@@ -173,7 +173,7 @@ def test_a_process_ends_before_its_time_when_it_is_over(start, run):
 
 
 class FakeTraining:
-    """Ends after so many polls."""
+    """A training that ends after a number of polls."""
 
     def __init__(self, job: Plan, polls: int, code: int = 0) -> None:
         self.run = job.run

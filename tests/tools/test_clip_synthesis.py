@@ -1,4 +1,4 @@
-"""The clips that ship: measured against the figures of docs/shipped_clips.md, and made again."""
+"""Measures the shipped clips, compares docs/shipped_clips.md, and makes some clips again."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tools.clip_synthesis.report import turn_rad
 
 pytestmark = pytest.mark.slow
 
-# (forward, left) m and turn in degrees from the first to the last frame: ranges of each.
+# Ranges of the way forward and left in m, and of the turn in degrees, over each clip.
 WAYS = {
     "stand": ((-0.05, 0.05), (-0.05, 0.05), (-5, 5)),
     "walk_backward": ((-2.6, -2.3), (-0.1, 0.1), (-10, 10)),
@@ -129,7 +129,7 @@ def test_the_data_set_lists_every_clip_once() -> None:
 def test_shipped_clips_are_what_the_generator_makes(name: str) -> None:
     pytest.importorskip("mink")
     made, shipped = make_clip(name), load_clips(name)[0][0]
-    # The search stops at steps of 1e-8 rad; other versions of the solver end elsewhere in there.
+    # The search stops at steps of 1e-8 rad. Other versions of the solver differ within this range.
     np.testing.assert_allclose(made.local_rotation, shipped.local_rotation, atol=1e-4)
     np.testing.assert_allclose(made.root_translation, shipped.root_translation, atol=1e-4)
     np.testing.assert_allclose(made.linear_velocity_w, shipped.linear_velocity_w, atol=1e-2)

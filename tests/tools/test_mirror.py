@@ -1,4 +1,4 @@
-"""The mirror image of a clip."""
+"""Tests the mirror image of a clip."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tools.clip_synthesis.mirror import mirror_clip, partners
 
 
 def test_bodies_go_to_mirrored_places() -> None:
-    """Positions by kinematics of the mirrored joints are the mirror images of the positions."""
+    """The kinematics of mirrored joints give mirrored positions."""
     clip = bent(load_clips("walk")[0][0])
     image = mirror_clip(clip, "image")
     assert image.name == "image"
@@ -33,7 +33,7 @@ def test_velocities_are_those_of_the_mirrored_motion() -> None:
 
 
 def bent(clip: MotionClip) -> MotionClip:
-    """Turn all joints, each about an axis of its own, more and more, and let the root drift."""
+    """Turn each joint about a different axis with growing angles while the root drifts."""
     rng = np.random.default_rng(1)
     axes = rng.normal(size=(clip.num_bodies, 3))
     axes /= np.linalg.norm(axes, axis=-1, keepdims=True)

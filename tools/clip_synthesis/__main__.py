@@ -1,4 +1,4 @@
-"""Makes the clips that ship: python -m tools.clip_synthesis [--out DIR]."""
+"""Makes the shipped clips: python -m tools.clip_synthesis [--out DIR] [--clips NAME ...]."""
 
 from __future__ import annotations
 
@@ -22,14 +22,10 @@ _log = logging.getLogger(__name__)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line: write the clips and log their measured figures.
-
-    Returns:
-        The exit code.
-    """
+    """Write the clips, log their measurements, and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m tools.clip_synthesis",
-        description="Makes the clips that ship and measures them.",
+        description="Makes and measures the shipped clips.",
     )
     parser.add_argument(
         "--out", type=Path, help="folder for the clips (default: assets/amp/motions)"
@@ -48,9 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
             clip = make_clip(name)
             path = save_npz(folder / f"{name}.npz", clip)
             rows[name] = figures(clip, skeleton, model)
-            more = {}
-            if name in GAIT_CLIPS:
-                more = cycle_figures(clip, GAIT_CLIPS[name].frames_per_cycle)
+            cycle = GAIT_CLIPS.get(name)
+            more = cycle_figures(clip, cycle.frames_per_cycle) if cycle else {}
             _log.info("%s\n%s", path, describe(rows[name] | more))
         _log.info("%s", overview(rows))
     except (UserError, OSError) as error:

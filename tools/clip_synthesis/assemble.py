@@ -1,4 +1,4 @@
-"""From solved poses to a clip with velocities, and from planned feet to targets of the solver."""
+"""Makes clips with velocities of solved poses, and solver targets of planned feet."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ def clip_from_poses(
     local_rotation: FloatArray,
     pad: int,
 ) -> MotionClip:
-    """Make a clip of poses whose velocities are central differences, not smoothed.
+    """Make a clip of poses; its velocities are central differences without smoothing.
 
     Args:
-        name: of the clip.
+        name: name of the clip.
         fps: frames per second.
         skeleton: the J bodies.
         root_translation: (pad + T + pad, 3) m.
         local_rotation: (pad + T + pad, J, 4) xyzw, relative to the parents.
-        pad: frames before and behind the clip, at least 1; only the differences see them.
+        pad: number of additional frames at both ends for the differences, at least 1.
     """
     positions, turns = kinematics.forward_kinematics(
         skeleton.parent_indices, skeleton.local_translation, local_rotation, root_translation
@@ -48,20 +48,20 @@ def clip_from_poses(
 
 
 def foot_frames(position: FloatArray, yaw: FloatArray, pitch: FloatArray) -> FloatArray:
-    """Return quaternions wxyz and positions (n, 7) of a foot, as `PoseSolver` takes them.
+    """Return quaternions wxyz and positions (n, 7) of a foot for `PoseSolver`.
 
     Args:
-        position: (n, 3) m, of the ankle in the world.
+        position: (n, 3) m, the ankle in the world.
         yaw: (n) rad, direction of the foot about z.
         pitch: (n) rad, angle of the foot to the ground, toes up positive.
     """
-    down = torch.from_numpy(-pitch)  # about +y the toes go down
+    down = torch.from_numpy(-pitch)  # positive turns about y lower the toes
     turn = rotations.quat_from_euler_xyz(torch.zeros_like(down), down, torch.from_numpy(yaw))
     return np.concatenate((rotations.wxyz_from_xyzw(turn).numpy(), position), axis=1)
 
 
 def _angular_velocities(turns: FloatArray, fps: float) -> FloatArray:
-    """Return world angular velocities (T, J, 3) rad/s by central differences, one-sided at ends."""
+    """Return angular velocities (T, J, 3) in rad/s in the world from central differences."""
     q = torch.from_numpy(turns)
     padded = torch.cat((q[:1], q, q[-1:]))
     steps = rotations.quat_mul(padded[2:], rotations.quat_conjugate(padded[:-2]))

@@ -1,4 +1,4 @@
-"""All clips that the project makes, by name, whatever makes them."""
+"""Lists all synthesised clips and makes a clip by its name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tools.clip_synthesis.moves.move_data import MIRRORED, MOVES
 
 @dataclass(frozen=True)
 class GaitClip:
-    """A clip of a whole number of cycles of a gait, `fps` frames per second."""
+    """A clip that consists of whole cycles of a gait."""
 
     gait: Gait
     num_cycles: int
@@ -23,11 +23,11 @@ class GaitClip:
 
     @property
     def frames_per_cycle(self) -> int:
-        """The number of frames of one cycle."""
+        """The number of frames in one cycle."""
         return round(self.gait.period_s * self.fps)
 
 
-# walk and run came first, at the 60 frames per second of IsaacGymEnvs' clips; 30 is ASE's rate.
+# IsaacGymEnvs' clips have 60 frames per second, and ASE's clips have 30.
 GAIT_CLIPS: dict[str, GaitClip] = {
     "walk": GaitClip(WALK, 4, 60),
     "run": GaitClip(RUN, 5, 60),
@@ -37,12 +37,12 @@ GAIT_CLIPS: dict[str, GaitClip] = {
 
 
 def clip_names() -> list[str]:
-    """Return the names of all clips, periodic gaits first, mirror images last."""
+    """Return the names of all clips: first periodic gaits, then moves, then mirror images."""
     return [*GAIT_CLIPS, *MOVES, *MIRRORED]
 
 
 def make_clip(name: str) -> MotionClip:
-    """Make the clip called `name`.
+    """Make the clip with this name.
 
     Raises:
         ConfigError: there is no such clip.

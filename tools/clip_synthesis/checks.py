@@ -1,7 +1,4 @@
-"""Measured figures of a walking or running clip: what its feet, joints and cycles do.
-
-They look at the finished clip only, not at how it was made, and serve tests and documentation.
-"""
+"""Measures feet, joints and cycles of a finished clip for tests and documentation."""
 
 from __future__ import annotations
 
@@ -20,10 +17,9 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
 from tools.clip_synthesis.mirror import mirror_rotations
 
-CONTACT_HEIGHT_M = 0.003  # a corner of a sole this near to the ground counts as touching it
-_DEG = np.pi / 180.0
-# Limits of the DOFs in degrees, as published for this humanoid (spec/humanoid.md): the MJCF limits
-# a ball joint by its total angle only. Left and right of the x and z axes are mirror images.
+CONTACT_HEIGHT_M = 0.003  # a corner of a sole below this height touches the ground
+# The limits of the humanoid's DOFs in degrees are published values (spec/humanoid.md), because the
+# MJCF limits only the total angle of a ball joint. Limits of left and right mirror each other.
 DOF_LIMITS_DEG: tuple[tuple[float, float], ...] = (
     *((-60, 60), (-60, 90), (-50, 50)),  # abdomen
     *((-50, 50), (-40, 60), (-45, 45)),  # neck
@@ -36,13 +32,13 @@ DOF_LIMITS_DEG: tuple[tuple[float, float], ...] = (
 
 @dataclass(frozen=True)
 class FootFigures:
-    """What the corners of the soles do; a touch is a time that a corner is on the ground.
+    """Measurements of the soles' corners.
 
     Attributes:
-        worst_slip_m: longest horizontal way of a corner during one touch.
-        deepest_m: how far the lowest corner goes below the ground.
-        highest_m: height of the lowest corner of both feet, at most: 0 where one always stands.
-        flight_share: share of the frames with no corner on the ground.
+        worst_slip_m: longest horizontal path of a corner while it stays on the ground.
+        deepest_m: largest depth of a corner below the ground.
+        highest_m: largest height of the lowest corner of both feet; 0 without flight.
+        flight_share: share of the frames without a corner on the ground.
         double_support_share: share of the frames with corners of both feet on the ground.
         swing_clearance_m: lowest height of a foot in the middle half of its swings.
     """
@@ -56,9 +52,9 @@ class FootFigures:
 
 
 def sole_corners(skeleton: Skeleton, positions: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Return the world positions (T, 2, 4, 3) m of the soles' corners, right foot first.
+    """Return the world positions (T, 2, 4, 3) in m of the soles' corners, right foot first.
 
-    `positions` (T, J, 3) m and `rotation` (T, J, 4) xyzw are of the bodies in the world.
+    `positions` (T, J, 3) in m and `rotation` (T, J, 4) xyzw describe the bodies in the world.
     """
     soles = []
     for name in ("right_foot", "left_foot"):
@@ -91,30 +87,23 @@ def foot_figures(clip: MotionClip, skeleton: Skeleton) -> FootFigures:
     )
 
 
-def dof_positions(clip: MotionClip, skeleton: Skeleton) -> FloatArray:
-    """Return the DOFs (T, D) in rad: rotation vectors of ball joints, angles of hinges."""
-    return dofs_from_rotations(skeleton, clip.local_rotation)
-
-
 def limit_margin(clip: MotionClip, skeleton: Skeleton) -> float:
-    """Return the smallest distance in rad of a DOF to its limits; negative beyond them."""
-    dofs = dof_positions(clip, skeleton)
-    lower, upper = np.array(DOF_LIMITS_DEG).T * _DEG
+    """Return the smallest distance in rad of a DOF to its limits, negative beyond a limit."""
+    dofs = dofs_from_rotations(skeleton, clip.local_rotation)
+    lower, upper = np.radians(DOF_LIMITS_DEG).T
     return float(np.minimum(dofs - lower, upper - dofs).min())
 
 
 def peak_joint_speed(clip: MotionClip, skeleton: Skeleton) -> float:
-    """Return the largest speed in rad/s of a DOF, from each frame to the next."""
+    """Return the largest speed of a DOF between consecutive frames in rad/s."""
     velocities = kinematics.joint_velocities(clip.local_rotation, clip.fps)
     return float(np.abs(velocities[:, list(skeleton.dof_body_ids)]).max())
 
 
 def closure_error(clip: MotionClip, frames_per_cycle: int) -> tuple[float, float]:
-    """Compare the frames with those one cycle later.
+    """Return the largest differences of rotations (rad) and root positions (m) after one cycle.
 
-    Returns:
-        The largest differences of rotations (rad) and of root positions (m), the mean displacement
-        along x taken off.
+    The mean displacement along x does not count as a difference.
     """
     turns = torch.from_numpy(np.asarray(clip.local_rotation, dtype=np.float64))
     angle = rotations.quat_diff_rad(turns[frames_per_cycle:], turns[:-frames_per_cycle])
@@ -125,7 +114,7 @@ def closure_error(clip: MotionClip, frames_per_cycle: int) -> tuple[float, float
 
 
 def velocity_seam(clip: MotionClip) -> tuple[float, float]:
-    """Return how much the linear (m/s) and angular (rad/s) velocities of both ends differ."""
+    """Return the differences of the linear (m/s) and angular (rad/s) velocities of both ends."""
     linear = np.abs(clip.linear_velocity_w[-1] - clip.linear_velocity_w[0]).max()
     angular = np.abs(clip.angular_velocity_w[-1] - clip.angular_velocity_w[0]).max()
     return float(linear), float(angular)
@@ -135,7 +124,7 @@ def symmetry_error(clip: MotionClip, frames_per_cycle: int) -> tuple[float, floa
     """Compare every pose with its mirror image half a cycle later.
 
     Returns:
-        The largest differences of rotations (rad) and of the root's height and side (m).
+        The largest differences of rotations in rad and of the root's y and z in m.
     """
     half = frames_per_cycle // 2
     turns = torch.from_numpy(np.asarray(clip.local_rotation, dtype=np.float64))
@@ -147,7 +136,7 @@ def symmetry_error(clip: MotionClip, frames_per_cycle: int) -> tuple[float, floa
 
 
 def _longest_way(points: FloatArray, touching: npt.NDArray[np.bool_]) -> float:
-    """Return the longest path in m of points (T, 2) over consecutive frames that touch (T)."""
+    """Return the longest path in m of points (T, 2) over consecutive frames with a touch (T)."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     both = touching[1:] & touching[:-1]
     longest = way = 0.0

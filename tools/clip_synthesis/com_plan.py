@@ -1,9 +1,9 @@
-"""The path of the centre of mass that the ground reaction forces of a gait demand.
+"""Computes the path of the centre of mass from the ground reaction forces of a gait.
 
-The vertical force F of each foot has the published shape; its line of action passes from the centre
-of pressure p through the centre of mass, which is what people come close to. With both, the motion
-of the centre of mass follows from Newton's law, h being its mean height, and exactly one motion
-repeats with every stride: z'' = sum F / m - g, x'' = sum F / m (x - p) / h, the same for y.
+The vertical force F of each foot has the published shape. Its line of action passes from the centre
+of pressure p through the centre of mass, approximately as in people. With the mean height h
+Newton's law gives z'' = sum F / m - g and x'' = sum F / m (x - p) / h. The equation of y equals the
+equation of x. These equations have exactly one periodic solution.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from tools.clip_synthesis.cycle import PeriodicCurve
+from tools.clip_synthesis.foot_plan import Stance
 from tools.clip_synthesis.gait_data import Gait
-from tools.clip_synthesis.stance import Stance
 
 GRAVITY = 9.81  # m/s^2
-_SAMPLES = 200  # per cycle; the forces are smooth on this scale
+_SAMPLES = 200  # samples per cycle
 _HARMONICS = 16
 
 
 def vertical_load(gait: Gait, phase: FloatArray) -> FloatArray:
-    """Return the vertical force on a foot, in body weights, at phases since its touch-down.
+    """Return the vertical force on a foot in body weights at phases since its touch-down.
 
-    The mean over the cycle is 1/2: two feet carry the body.
+    The mean over the cycle is 1/2, because two feet carry the body.
     """
     phase = phase % 1.0
     angle = np.pi * (phase / gait.duty - 0.5)
@@ -36,9 +36,10 @@ def vertical_load(gait: Gait, phase: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class ComPlan:
-    """Centre of mass (m) over phase, right touch-down at 0 with the right foot placed at x = 0.
+    """Centre of mass in m as a function of the phase.
 
-    `sway_x`, `sway_y` and `height` are periodic; x advances by the stride besides.
+    The right foot touches down at phase 0 and at x = 0. `sway_x`, `sway_y` and `height` are
+    periodic. In addition x advances by the stride.
     """
 
     stride_m: float
@@ -53,12 +54,12 @@ class ComPlan:
 
 
 def plan_com(stance: Stance, height_m: float) -> ComPlan:
-    """Return the motion of the centre of mass, `height_m` high on average, under both feet."""
+    """Return the motion of the centre of mass with the mean height `height_m`."""
     gait = stance.gait
     phase = np.arange(_SAMPLES) / _SAMPLES
     load = np.zeros(_SAMPLES)
     moment = np.zeros((_SAMPLES, 2))
-    # The steps that bear load within this cycle; the left foot is the mirror image.
+    # These steps bear load within the cycle. The left foot mirrors the right foot.
     for touch_down, mirror in ((0.0, 1.0), (0.5, -1.0), (-0.5, -1.0)):
         since = phase - touch_down
         on_ground = (since >= 0.0) & (since < gait.duty)
@@ -68,7 +69,7 @@ def plan_com(stance: Stance, height_m: float) -> ComPlan:
         load += share
         moment += share[:, None] * pressure
     stiffness = load * GRAVITY / height_m
-    # The deviation d from steady motion s: d'' - k d = k s - k p.
+    # The deviation d from the steady motion s fulfils d'' - k d = k s - k p.
     force = -moment * (GRAVITY / height_m)
     force[:, 0] += stiffness * gait.stride_m * phase
     sway = _periodic_solution(stiffness, force, gait.period_s)
@@ -92,7 +93,7 @@ def _periodic_solution(stiffness: FloatArray, force: FloatArray, period_s: float
 
 
 def _periodic_integral(acceleration: FloatArray, period_s: float) -> FloatArray:
-    """Integrate an acceleration (n) of mean 0 twice; the result has period `period_s`, mean 0."""
+    """Integrate an acceleration (n) of mean 0 twice to a periodic curve of mean 0."""
     spectrum = np.fft.rfft(acceleration)
     omega = 2.0 * np.pi * np.arange(len(spectrum)) / period_s
     spectrum[1:] /= -(omega[1:] ** 2)

@@ -1,4 +1,4 @@
-"""Smooth curves: short Fourier series through tables over the gait cycle, and cubics."""
+"""Fits short Fourier series to tables over the gait cycle, and evaluates cubic polynomials."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 
-# Gait curves hold little above the sixth harmonic (Winter: 99.7 % of the power below 6 Hz); fewer
-# harmonics than half of the 20 table values also smooth away the rounding to whole degrees.
+# 99.7 % of the power of gait curves is below 6 Hz (Winter). Fewer harmonics than 10, half of the 20
+# table values, also smooth the rounding to whole degrees.
 _HARMONICS = 6
 
 
@@ -33,17 +33,17 @@ class PeriodicCurve:
 
     @classmethod
     def from_degrees(cls, table: Sequence[float]) -> PeriodicCurve:
-        """Return the curve in rad of a full-cycle table in degrees."""
+        """Return the curve in rad for a full-cycle table in degrees."""
         return cls.through(np.radians(np.asarray(table, dtype=np.float64)))
 
     @classmethod
     def odd(cls, half_table: Sequence[float]) -> PeriodicCurve:
-        """Return the curve in rad of a half-cycle table in degrees; the other half is minus it."""
+        """Return the curve in rad for a half-cycle table in degrees; the other half is negated."""
         return cls.from_degrees([*half_table, *(-value for value in half_table)])
 
     @classmethod
     def even(cls, half_table: Sequence[float]) -> PeriodicCurve:
-        """Return the curve in rad of a half-cycle table in degrees; the other half repeats it."""
+        """Return the curve in rad for a half-cycle table in degrees; the other half is equal."""
         return cls.from_degrees([*half_table, *half_table])
 
     def __call__(self, phase: FloatArray | float) -> FloatArray:
@@ -54,7 +54,7 @@ class PeriodicCurve:
 
 
 def smoothstep(u: FloatArray | float) -> FloatArray:
-    """Return 3 u^2 - 2 u^3: 0 below u = 0, 1 above u = 1, at rest at both."""
+    """Return 3 u^2 - 2 u^3, which is 0 below u = 0 and 1 above u = 1."""
     u = np.clip(u, 0.0, 1.0)
     return u * u * (3.0 - 2.0 * u)
 
@@ -65,14 +65,13 @@ def hermite(
     span: float,
     u: FloatArray,
 ) -> FloatArray:
-    """Return the cubic (n, d) from `start` to `end` at u (n) in [0, 1].
+    """Return the values (n, d) of a cubic polynomial at u (n) in [0, 1].
 
     Args:
-        start: value (d) and rate (d) at u = 0; rates are per unit of the variable that runs over
-            `span` while u runs from 0 to 1.
-        end: the same at u = 1.
-        span: length of the interval in the unit of the rates.
-        u: where to evaluate.
+        start: value (d) and rate (d) at u = 0. Rates are derivatives by the time u * span.
+        end: value (d) and rate (d) at u = 1.
+        span: length of the interval.
+        u: relative positions (n).
     """
     u = u[:, None]
     rise = smoothstep(u)

@@ -1,4 +1,4 @@
-"""Mass properties of a humanoid's poses: centre of mass, hips, angular momentum."""
+"""Computes centre of mass, hips and angular momentum of a humanoid's poses."""
 
 from __future__ import annotations
 
@@ -7,16 +7,11 @@ import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 
-HIPS = ("right_thigh", "left_thigh")  # the bodies whose origins are the hip joints
-
-
-def centres_of_mass(model: mujoco.MjModel, poses: FloatArray) -> FloatArray:
-    """Return the centres of mass (n, 3) m in the world of poses qpos (n, nq)."""
-    return com_and_hips(model, poses)[0]
+HIPS = ("right_thigh", "left_thigh")  # their origins are the hip joints
 
 
 def com_and_hips(model: mujoco.MjModel, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return centres of mass (n, 3) and right and left hips (n, 2, 3), m, of poses qpos (n, nq)."""
+    """Return centres of mass (n, 3) and right and left hips (n, 2, 3) in m for qpos (n, nq)."""
     data = mujoco.MjData(model)
     com, hips = np.empty((len(poses), 3)), np.empty((len(poses), 2, 3))
     for i, pose in enumerate(poses):
@@ -29,11 +24,13 @@ def com_and_hips(model: mujoco.MjModel, poses: FloatArray) -> tuple[FloatArray, 
 
 
 def moments(model: mujoco.MjModel, poses: FloatArray, fps: float) -> FloatArray:
-    """Return the rate of angular momentum about the centre of mass (n, 3) Nm, by differences.
+    """Return the rate of the angular momentum about the centre of mass, (n, 3) Nm.
+
+    The rates are central differences, and one-sided differences at both ends.
 
     Args:
         model: the humanoid; body 1 is its root.
-        poses: qpos (n, nq), n >= 3, `fps` per second. Differences are one-sided at both ends.
+        poses: qpos (n, nq), n >= 3.
         fps: frames per second.
     """
     data = mujoco.MjData(model)

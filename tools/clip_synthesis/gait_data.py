@@ -1,13 +1,14 @@
-"""Published joint angles, timing and forces of walking and running, as tables over the gait cycle.
+"""Holds published angles, timing and forces of walking and running as tables over the gait cycle.
 
-The cycle starts when the right foot touches the ground. Tables hold the right side in degrees,
-every 5 % of the cycle; the left side is the same half a cycle later. They follow the curves of a
-typical adult in the publications named with each gait, rounded to the nearest degree; they were not
-digitised from the figures and are not the data of one person.
+The cycle starts when the right foot touches the ground. The tables hold the right side in degrees
+at every 5 % of the cycle. The left side is equal half a cycle later. The tables follow the curves
+of a typical adult in the publications of each gait, rounded to degrees. They were not digitised
+from the figures and do not describe one person.
 
-Joint angles are relative to upright standing (pelvis level, all joints zero), as the humanoid has
-them. Gait laboratories measure hip angles from a pelvis that is tilted forward by some 12 degrees
-in standing; for running, published that way, this was subtracted from pelvis tilt and hip flexion.
+Joint angles are relative to upright standing with a level pelvis and all joints at zero. Gait
+laboratories measure hip angles from a pelvis that is tilted forward by about 12 degrees in
+standing. The tables of running were published in this way, therefore 12 degrees were subtracted
+from pelvis tilt and hip flexion.
 """
 
 from __future__ import annotations
@@ -17,73 +18,43 @@ from dataclasses import dataclass
 
 Table = tuple[float, ...]
 
-_WALK_SOURCES = (
-    "D. A. Winter, Biomechanics and Motor Control of Human Movement, Wiley (2nd ed. 1990), and "
-    "The Biomechanics and Motor Control of Human Gait, Univ. of Waterloo Press (2nd ed. 1991): "
-    "hip, knee and ankle angles at natural cadence",
-    "J. Perry, J. M. Burnfield, Gait Analysis: Normal and Pathological Function, Slack (2nd ed. "
-    "2010): pelvis, arm swing (24 deg extension to 8 deg flexion at the shoulder, 20 to 45 deg at "
-    "the elbow), foot rockers and their timing",
-    "M. P. Murray, Gait as a total pattern of movement, Am. J. Phys. Med. 46 (1967) 290-333: "
-    "thorax against pelvis, toe-out, width of the base",
-    "R. McN. Alexander, A. S. Jayes, Fourier analysis of forces exerted in walking and running, "
-    "J. Biomech. 13 (1980) 383-390: shape of the vertical ground reaction force",
-)
-_RUN_SOURCES = (
-    "T. F. Novacheck, The biomechanics of running, Gait and Posture 7 (1998) 77-95: pelvis, hip, "
-    "knee and ankle angles and timing of running at about 3.2 m/s",
-    "A. G. Schache et al., The coordinated movement of the lumbo-pelvic-hip complex during "
-    "running: a literature review, Gait and Posture 10 (1999) 30-47: lean of the trunk, thorax "
-    "against pelvis",
-    "R. N. Hinrichs, Upper extremity function in running. II: Angular momentum considerations, "
-    "Int. J. Sport Biomech. 3 (1987) 242-263, and A. K. Yegian et al., Straight arm walking, bent "
-    "arm running, J. Exp. Biol. 222 (2019) jeb197228: arms swing in opposition to the legs with "
-    "elbows near 90 deg",
-    "R. McN. Alexander, A. S. Jayes (1980), as for walking, and J.-B. Morin et al., A simple "
-    "method for measuring stiffness during running, J. Appl. Biomech. 21 (2005) 167-180: the "
-    "vertical force of a running step as half a sine",
-)
-
 
 @dataclass(frozen=True)
 class Gait:
     """One gait. Phases are fractions of the cycle, angles are in degrees.
 
-    Full-cycle tables hold 20 values (0, 5, ... 95 %) of the right side, half-cycle tables 10
-    (0, 5, ... 45 %): the pelvis and the thorax do the mirror image in the second half.
+    Full-cycle tables hold 20 values (0, 5, ... 95 %) of the right side. Half-cycle tables hold 10
+    values (0, 5, ... 45 %), and pelvis and thorax move in the mirror image in the second half.
 
     Attributes:
         name: name of the clip.
-        sources: the publications that the values come from.
-        period_s: time of one cycle, two steps.
+        period_s: time of one cycle of two steps.
         stride_m: distance of one cycle.
-        duty: phase at which the foot that touched down at phase 0 leaves the ground.
+        duty: phase at which the right foot leaves the ground.
         foot_flat: phase at which the sole lies on the ground.
         heel_off: phase at which the heel leaves the ground.
         strike_pitch_deg: angle of the foot to the ground at touch-down, toes up positive.
-        toe_off_pitch_deg: the same when the foot leaves the ground (negative: toes down).
+        toe_off_pitch_deg: angle of the foot when it leaves the ground, negative for toes down.
         force_shape: q of Alexander and Jayes: force ~ cos(pi s) - q cos(3 pi s), -1/2 < s < 1/2.
-        step_width_m: distance between the lines that the two feet's centres are placed on.
+        step_width_m: lateral distance of the feet's centres.
         toe_out_deg: angle of the feet to the direction of travel.
-        swing_out_m: how far the swinging foot moves outwards, to pass the other leg.
-        swing_knee_deg: how much more the knee flexes in mid-swing, to lift the foot.
-        swing_toe_up_deg: how much further the foot is turned up in mid-swing: it has no toes
-            that could give way.
-        retraction_deg: rate per cycle at which the thigh moves back when the foot touches down.
-        straightest_knee_deg: smallest knee flexion of the stance; decides how high the pelvis is.
+        swing_out_m: outward shift of the swinging foot past the other leg.
+        swing_knee_deg: additional knee flexion in mid-swing, which lifts the foot.
+        swing_toe_up_deg: additional pitch of the foot in mid-swing, because the foot is rigid.
+        retraction_deg: backward rate of the thigh at touch-down per cycle.
+        straightest_knee_deg: smallest knee flexion of the stance, which sets the pelvis height.
         pelvis_tilt: half cycle, forward positive.
         pelvis_obliquity: half cycle, right side up positive.
         pelvis_rotation: half cycle, right side forward positive.
         thorax_rotation: half cycle, right side forward positive, relative to the world.
         thorax_lean_deg: forward lean of the thorax.
         hip_flexion, knee_flexion, ankle_dorsiflexion: full cycle.
-        shoulder_flexion, elbow_flexion: full cycle; the shoulder relative to the thorax.
-        shoulder_abduction_deg: the arm's distance from the trunk.
-        shoulder_rotation_deg: turn of the upper arm about itself, forearm inwards positive.
+        shoulder_flexion, elbow_flexion: full cycle; the shoulder is relative to the thorax.
+        shoulder_abduction_deg: angle of the arm to the trunk.
+        shoulder_rotation_deg: turn of the upper arm about its axis, forearm inwards positive.
     """
 
     name: str
-    sources: tuple[str, ...]
     period_s: float
     stride_m: float
     duty: float
@@ -112,17 +83,23 @@ class Gait:
     shoulder_abduction_deg: float
     shoulder_rotation_deg: float
 
-    @property
-    def speed_mps(self) -> float:
-        """The mean forward speed in m/s."""
-        return self.stride_m / self.period_s
 
-
-# The stride of a person with this humanoid's legs (0.88 m) and short feet (0.18 m: the
-# rigid foot ends where the toes would begin), hence the quick steps for the speed.
+# Sources of walking:
+# - D. A. Winter, Biomechanics and Motor Control of Human Movement, Wiley (2nd ed. 1990), and The
+#   Biomechanics and Motor Control of Human Gait, Univ. of Waterloo Press (2nd ed. 1991): hip, knee
+#   and ankle angles at natural cadence.
+# - J. Perry, J. M. Burnfield, Gait Analysis: Normal and Pathological Function, Slack (2nd ed.
+#   2010): pelvis, arm swing (24 deg extension to 8 deg flexion at the shoulder, 20 to 45 deg at the
+#   elbow), foot rockers and their timing.
+# - M. P. Murray, Gait as a total pattern of movement, Am. J. Phys. Med. 46 (1967) 290-333: thorax
+#   against pelvis, toe-out, width of the base.
+# - R. McN. Alexander, A. S. Jayes, Fourier analysis of forces exerted in walking and running,
+#   J. Biomech. 13 (1980) 383-390: shape of the vertical ground reaction force.
+#
+# The stride suits legs of 0.88 m and short feet. The rigid foot of 0.18 m ends before the toes.
+# Therefore the steps are quick for the speed.
 WALK = Gait(
     name="walk",
-    sources=_WALK_SOURCES,
     period_s=54 / 60,
     stride_m=1.17,
     duty=0.58,
@@ -167,9 +144,19 @@ WALK = Gait(
     shoulder_rotation_deg=8.0,
 )
 
+# Sources of running:
+# - T. F. Novacheck, The biomechanics of running, Gait and Posture 7 (1998) 77-95: pelvis, hip, knee
+#   and ankle angles and timing at about 3.2 m/s.
+# - A. G. Schache et al., The coordinated movement of the lumbo-pelvic-hip complex during running: a
+#   literature review, Gait and Posture 10 (1999) 30-47: lean of the trunk, thorax against pelvis.
+# - R. N. Hinrichs, Upper extremity function in running. II: Angular momentum considerations,
+#   Int. J. Sport Biomech. 3 (1987) 242-263, and A. K. Yegian et al., Straight arm walking, bent arm
+#   running, J. Exp. Biol. 222 (2019) jeb197228: arm swing with elbows near 90 deg.
+# - R. McN. Alexander, A. S. Jayes (see walking), and J.-B. Morin et al., A simple method for
+#   measuring stiffness during running, J. Appl. Biomech. 21 (2005) 167-180: the vertical force of a
+#   step is half a sine.
 RUN = Gait(
     name="run",
-    sources=_RUN_SOURCES,
     period_s=40 / 60,
     stride_m=1.90,
     duty=0.34,
@@ -216,20 +203,15 @@ RUN = Gait(
 
 
 def _scaled(table: Table, factor: float, centre_deg: float = 0.0) -> Table:
-    """Return a table whose values are `factor` times as far from a centre, in whole degrees."""
+    """Scale the distances of the values to a centre and round to whole degrees."""
     return tuple(round(centre_deg + factor * (value - centre_deg)) for value in table)
 
 
-# Slower and faster than natural: the same curves with smaller and larger swings, as publications
-# have it (Winter 1991: slow and fast cadence; Murray 1967: free and fast walking). The factors are
-# ours, chosen for the stride of this humanoid.
-_SPEED_SOURCE = (
-    "as walk, with the amplitudes of hip, arms, pelvis and thorax scaled by factors of our own",
-)
+# Slow and fast walking have the same curves with smaller and larger amplitudes (Winter 1991, Murray
+# 1967). The factors were chosen for the stride of this humanoid.
 WALK_SLOW = dataclasses.replace(
     WALK,
     name="walk_slow",
-    sources=_WALK_SOURCES + _SPEED_SOURCE,
     period_s=36 / 30,
     stride_m=0.90,
     duty=0.60,
@@ -250,7 +232,6 @@ WALK_SLOW = dataclasses.replace(
 WALK_FAST = dataclasses.replace(
     WALK,
     name="walk_fast",
-    sources=_WALK_SOURCES + _SPEED_SOURCE,
     period_s=24 / 30,
     stride_m=1.30,
     duty=0.56,

@@ -1,4 +1,4 @@
-"""One leg of the humanoid: its dimensions, and its angles in the plane of hip, knee and ankle."""
+"""Describes the humanoid's leg by dimensions, and by angles in the plane of hip, knee and ankle."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton
 
 @dataclass(frozen=True)
 class Leg:
-    """Lengths in m; the foot is rigid and its sole is flat.
+    """Lengths of a leg in m. The foot is rigid and its sole is flat.
 
     Attributes:
         thigh_m: from the hip to the knee.
@@ -30,7 +30,7 @@ class Leg:
 
     @classmethod
     def from_skeleton(cls, skeleton: Skeleton) -> Leg:
-        """Read the right leg (the left one is its mirror image)."""
+        """Read the right leg; the left leg is its mirror image."""
         foot = skeleton.body_names.index("right_foot")
         shin = skeleton.body_names.index("right_shin")
         corners = skeleton.foot_corners[[body == foot for body in skeleton.foot_body_ids]]
@@ -43,10 +43,10 @@ class Leg:
         )
 
     def ankle(self, thigh: FloatArray, knee: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return how far the ankle is ahead of and below the hip, in m.
+        """Return the distances in m by which the ankle is ahead of and below the hip.
 
         Args:
-            thigh: angle of the thigh, forward of straight down, in rad.
+            thigh: angle of the thigh to the vertical in rad, forward positive.
             knee: flexion in rad.
         """
         shin = thigh - knee
@@ -55,7 +55,7 @@ class Leg:
         return ahead, below
 
     def angles(self, ahead: FloatArray, below: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return thigh and knee angles (rad) that put the ankle there; straight if out of reach."""
+        """Return thigh and knee angles in rad; the inverse of `ankle`, straight if out of reach."""
         reach = np.hypot(ahead, below)
         links = 2.0 * self.thigh_m * self.shin_m
         cos_knee = (reach**2 - self.thigh_m**2 - self.shin_m**2) / links
@@ -66,26 +66,24 @@ class Leg:
         return thigh, knee
 
     def reach(self, knee: FloatArray) -> FloatArray:
-        """Return the distances (n) m from hip to ankle of knees flexed by `knee` (n) rad."""
+        """Return the distances (n) in m from hip to ankle for knee flexions (n) in rad."""
         return np.hypot(*self.ankle(np.zeros_like(knee), knee))
 
     def rolled(self, pitch: FloatArray, rounding_m: FloatArray | float = 0.0) -> FloatArray:
-        """Return where the ankle is (n, 2) m when the foot turns about an edge of its sole.
+        """Return the position of the ankle (n, 2) in m for a foot on an edge of its sole.
 
-        With the toes up the foot stands on the back edge, with the heel up on the front one.
+        The first column is the distance ahead of the position with a flat sole. The second column
+        is the height. The foot stands on the back edge with the toes up, else on the front edge.
 
         Args:
             pitch: (n) rad, angle of the foot to the ground, toes up positive.
-            rounding_m: 0 for the sharp edges of the sole. A swinging foot passes from one edge to
-                the other without a jolt if it is rolled as if they were rounded by some cm.
-
-        Returns:
-            How far the ankle is ahead of its place with the sole flat, and its height.
+            rounding_m: radius of the edges, 0 for sharp edges. A swinging foot needs some cm, which
+                make the change from one edge to the other smooth.
         """
         pivot = np.where(pitch > 0.0, -self.heel_m, self.toe_m)
         cos, sin = np.cos(pitch), np.sin(pitch)
         ahead = pivot - pivot * cos - self.ankle_height_m * sin
-        # The lower edge is below the ankle by the larger of -toe sin and heel sin.
+        # The height of the ankle over the lower edge is the larger of -toe sin and heel sin.
         mean, half = 0.5 * (self.heel_m - self.toe_m) * sin, 0.5 * (self.heel_m + self.toe_m) * sin
         up = mean + np.hypot(half, rounding_m) + self.ankle_height_m * cos
         return np.stack((ahead, up), axis=-1)

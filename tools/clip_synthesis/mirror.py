@@ -1,4 +1,4 @@
-"""The mirror image of a humanoid's clip in the plane y = 0: left becomes right."""
+"""Mirrors a humanoid's clip in the plane y = 0, which swaps left and right."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 
-# A mirror keeps rotations about y, its normal, and reverses rotations about x and z.
+# The mirror image keeps rotations about its normal y and reverses rotations about x and z.
 _LINEAR = np.array([1.0, -1.0, 1.0])
 _ANGULAR = np.array([-1.0, 1.0, -1.0])
 _QUATERNION = np.array([-1.0, 1.0, -1.0, 1.0])
 
 
 def partners(body_names: Sequence[str]) -> list[int]:
-    """Return for each body the index of its mirror image: left_x for right_x, itself for others."""
+    """Return for each body the index of its mirror image, left_x for right_x and vice versa."""
     swap = {"right": "left", "left": "right"}
     images = []
     for name in body_names:
@@ -27,15 +27,15 @@ def partners(body_names: Sequence[str]) -> list[int]:
 
 
 def mirror_rotations(body_names: Sequence[str], rotation: FloatArray) -> FloatArray:
-    """Return the mirror image of rotations (..., J, 4) xyzw, relative to parents or to the world.
+    """Return the mirror image of local or global rotations (..., J, 4) xyzw.
 
-    The bodies' frames must mirror each other, as the humanoid's do.
+    Left and right body frames must mirror each other.
     """
     return np.asarray(rotation)[..., partners(body_names), :] * _QUATERNION.astype(rotation.dtype)
 
 
 def mirror_clip(clip: MotionClip, name: str) -> MotionClip:
-    """Return the mirror image, called `name`, of a clip without joint coordinates (`dof_pos`)."""
+    """Return the mirror image of a clip under a new name; the clip must have no `dof_pos`."""
     order = partners(clip.body_names)
     linear, angular = (v.astype(clip.root_translation.dtype) for v in (_LINEAR, _ANGULAR))
     return dataclasses.replace(

@@ -1,4 +1,4 @@
-"""Measured figures of a clip that need the MuJoCo model: ground force, contacts with itself."""
+"""Measures ground force, pressure and self-contacts of a clip with the MuJoCo model."""
 
 from __future__ import annotations
 
@@ -11,38 +11,33 @@ from isaacgymenvs_lite.motion.qpos import qpos_from_poses
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from tools.clip_synthesis import checks, dynamics
 
-_LEAST_FORCE = 0.25  # body weights; below it the centre of pressure is arbitrary
-_FLAT = 1e-12  # m^2: corners in one line, up to rounding
+_LEAST_FORCE = 0.25  # body weights; a smaller force has no meaningful centre of pressure
+_FLAT = 1e-12  # m^2; corners with smaller cross products lie on one line
 
 
 def ground_force(clip: MotionClip, skeleton: Skeleton, model: mujoco.MjModel) -> FloatArray:
-    """Return the force (T - 2, 3) that the ground must give, in body weights and world axes.
+    """Return the force (T - 2, 3) of the ground in body weights and world axes.
 
-    By Newton's law from the path of the centre of mass, for all frames but the first and the last:
-    (0, 0, 1) in standing, 0 in flight, never downwards.
+    Newton's law gives the force for all frames except the first and the last. It is (0, 0, 1) in
+    standing and 0 in flight.
     """
-    com = dynamics.centres_of_mass(model, clip_qpos(clip, skeleton))
+    com = dynamics.com_and_hips(model, clip_qpos(clip, skeleton))[0]
     acceleration = np.diff(com, n=2, axis=0) * clip.fps**2
     gravity = -float(model.opt.gravity[2])
     return acceleration / gravity + (0.0, 0.0, 1.0)
 
 
-def pressure_outside(
-    clip: MotionClip,
-    skeleton: Skeleton,
-    model: mujoco.MjModel,
-    near_m: float = checks.CONTACT_HEIGHT_M,
-) -> FloatArray:
-    """Return how far (T - 4) in m the centre of pressure is outside of the soles on the ground.
+def pressure_outside(clip: MotionClip, skeleton: Skeleton, model: mujoco.MjModel) -> FloatArray:
+    """Return the distances (T - 4) in m of the centre of pressure from the soles on the ground.
 
-    For all frames but the first and the last two: 0 inside of the smallest convex area that holds
-    the corners below `near_m`, NaN where there are fewer than two of them or hardly any force. The
-    centre of pressure is the point where the ground force has to act to give the body the angular
-    momentum that its motion has, limbs included (Vukobratovic and Borovac, Int. J. Humanoid
-    Robotics 1 (2004) 157-173).
+    The first and the last two frames are left out. The distance is measured to the convex hull of
+    the sole corners on the ground, and it is 0 inside. It is NaN with fewer than two corners or
+    nearly without force. The ground force acts at the centre of pressure and changes the angular
+    momentum of the whole body (Vukobratovic and Borovac, Int. J. Humanoid Robotics 1 (2004)
+    157-173).
     """
     poses = clip_qpos(clip, skeleton)
-    com = dynamics.centres_of_mass(model, poses)[1:-1]
+    com = dynamics.com_and_hips(model, poses)[0][1:-1]
     weight = float(model.body_subtreemass[1]) * -float(model.opt.gravity[2])
     moment = dynamics.moments(model, poses, clip.fps)[1:-1] / weight
     force = ground_force(clip, skeleton, model)
@@ -51,8 +46,8 @@ def pressure_outside(
     x = com[:, 0] - (com[:, 2] * force[:, 0] + moment[:, 1]) / up
     y = com[:, 1] - (com[:, 2] * force[:, 1] - moment[:, 0]) / up
     corners = checks.sole_corners(skeleton, *clip.global_poses()).reshape(clip.num_frames, -1, 3)
-    # A foot that lands or leaves touches in one of the frames that the differences are taken of.
-    low = corners[..., 2] < near_m
+    # The force is a difference of three frames. A corner counts if it touches in one of them.
+    low = corners[..., 2] < checks.CONTACT_HEIGHT_M
     low = low[:-2] | low[1:-1] | low[2:]
     points = np.stack((x, y), axis=-1)
     rows = zip(points, corners[1:-1, :, :2], low, strict=True)
@@ -60,13 +55,13 @@ def pressure_outside(
 
 
 def outside(point: FloatArray, corners: FloatArray) -> float:
-    """Return the distance in m of a point (2) to the convex hull of corners (n, 2).
+    """Return the distance in m of a point (2) to the convex hull of corners (n, 2), 0 inside.
 
-    0 inside of it, NaN for fewer than 2 corners or a point that is NaN.
+    The distance is NaN for fewer than 2 corners or a point with NaN.
     """
     if len(corners) < 2 or np.isnan(point).any():
         return float("nan")
-    # The hull is inside of every half plane through two corners that holds all others.
+    # A line through two corners bounds the hull if all other corners are on one side of it.
     away = corners - point
     first, second = (index.ravel() for index in np.triu_indices(len(corners), 1))
     start, way = away[first], away[second] - away[first]
@@ -84,9 +79,9 @@ def outside(point: FloatArray, corners: FloatArray) -> float:
 
 
 def deepest_self_contact(clip: MotionClip, skeleton: Skeleton, model: mujoco.MjModel) -> float:
-    """Return how deep in m bodies go into each other at most; 0 where none touch.
+    """Return the largest penetration in m of two bodies, 0 without contacts.
 
-    Bodies joined to each other do not count, nor does the floor.
+    Neighbouring bodies and the floor do not count.
     """
     data = mujoco.MjData(model)
     deepest = 0.0

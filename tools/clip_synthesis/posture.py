@@ -1,4 +1,4 @@
-"""The pose of every body that the published angles ask for, before the feet are put in place."""
+"""Computes the rotations of all bodies from the published angles of a gait."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def target_rotations(gait: Gait, skeleton: Skeleton, phase: FloatArray) -> FloatArray:
-    """Return rotations relative to the parent (n, J, 4) xyzw at phases (n); root: to the world.
+    """Return rotations relative to the parents (n, J, 4) xyzw at phases (n).
 
-    The head stays upright and looks ahead, as people keep it (Pozzo, Berthoz and Lefort, Exp.
-    Brain Res. 82 (1990) 97-106).
+    The root's rotation is relative to the world. The head stays upright and looks ahead, as in
+    people (Pozzo, Berthoz and Lefort, Exp. Brain Res. 82 (1990) 97-106).
     """
     turns = {name: turn("x", np.zeros_like(phase)) for name in skeleton.body_names}
     pelvis = compose(
@@ -46,11 +46,11 @@ def set_leg(
     angles: tuple[FloatArray, FloatArray, FloatArray],
     yaw: FloatArray | None = None,
 ) -> None:
-    """Write one leg's joints into rotations (n, J, 4) xyzw.
+    """Write the rotations of one leg's bodies into `local_rotation` (n, J, 4) xyzw.
 
     Args:
-        local_rotation: changed in place.
-        skeleton: names of the J bodies.
+        local_rotation: rotations relative to the parents, changed in place.
+        skeleton: the J bodies.
         side: `right` or `left`.
         angles: thigh to the vertical, knee, foot to the ground, each (n) in rad.
         yaw: (n) rad, direction of the leg's plane about z; by default +x.
@@ -68,7 +68,7 @@ def set_leg(
 
 
 def _limbs(gait: Gait, side: str, sign: float, phase: FloatArray) -> dict[str, Tensor]:
-    """Return the rotations of one side's bodies; `sign` is -1 on the right and +1 on the left."""
+    """Return the rotations of one side's limbs; `sign` is -1 on the right and +1 on the left."""
 
     def angle(table: tuple[float, ...]) -> FloatArray:
         return PeriodicCurve.from_degrees(table)(phase)
@@ -76,7 +76,7 @@ def _limbs(gait: Gait, side: str, sign: float, phase: FloatArray) -> dict[str, T
     def constant(degrees: float) -> FloatArray:
         return np.full_like(phase, np.radians(degrees))
 
-    # About +y a hanging limb swings backwards: flexion is negative but for the knee.
+    # Positive turns about y swing a hanging limb backwards. Only knee flexion is positive.
     return {
         f"{side}_thigh": turn("y", -angle(gait.hip_flexion)),
         f"{side}_shin": turn("y", angle(gait.knee_flexion)),
@@ -98,7 +98,7 @@ def turn(axis: str, angle: FloatArray) -> Tensor:
 
 
 def compose(first: Tensor, *rest: Tensor) -> Tensor:
-    """Return the product of rotations (n, 4): each one turns about the axes of those before it."""
+    """Return the product of rotations (n, 4); each turns about the axes after the previous turn."""
     product = first
     for factor in rest:
         product = rotations.quat_mul(product, factor)

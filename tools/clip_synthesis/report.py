@@ -1,4 +1,4 @@
-"""The measured figures of clips as Markdown tables, for the log and for docs/shipped_clips.md."""
+"""Prints the measurements of clips as Markdown tables, for the log and docs/shipped_clips.md."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
 from tools.clip_synthesis import checks, model_checks
 
-# The columns of the overview: what is measured, and the heading that has room there.
+# The columns of the overview map names of measurements to short headings.
 _OVERVIEW = {
     "frames, length": "frames, length",
     "mean speed of the root": "speed",
@@ -27,7 +27,7 @@ _OVERVIEW = {
 
 
 def figures(clip: MotionClip, skeleton: Skeleton, model: mujoco.MjModel) -> dict[str, str]:
-    """Measure any clip: what is measured, and the figure with its unit."""
+    """Return name -> value with unit of all measurements of a clip."""
     feet = checks.foot_figures(clip, skeleton)
     force = model_checks.ground_force(clip, skeleton, model)[:, 2]
     touch = model_checks.deepest_self_contact(clip, skeleton, model)
@@ -57,7 +57,7 @@ def figures(clip: MotionClip, skeleton: Skeleton, model: mujoco.MjModel) -> dict
 
 
 def cycle_figures(clip: MotionClip, frames_per_cycle: int) -> dict[str, str]:
-    """Measure how a periodic clip repeats itself; see `figures`."""
+    """Return the measurements of a clip's periodicity; see `figures`."""
     turn_error, place_error = checks.closure_error(clip, frames_per_cycle)
     seam_linear, seam_angular = checks.velocity_seam(clip)
     mirror_turn, mirror_place = checks.symmetry_error(clip, frames_per_cycle)
@@ -70,17 +70,13 @@ def cycle_figures(clip: MotionClip, frames_per_cycle: int) -> dict[str, str]:
 
 
 def describe(rows: dict[str, str]) -> str:
-    """Return figures as a Markdown table of one clip, one row per figure."""
+    """Return the measurements of one clip as a Markdown table."""
     width = max(len(key) for key in rows)
     return "\n".join(f"| {key:<{width}} | {value} |" for key, value in rows.items())
 
 
 def overview(clips: dict[str, dict[str, str]]) -> str:
-    """Return the main figures of several clips as a Markdown table, one row per clip.
-
-    Args:
-        clips: for each name what `figures` found.
-    """
+    """Return the main measurements of several clips as a Markdown table with one row per clip."""
     lines = [f"| clip | {' | '.join(_OVERVIEW.values())} |", "|---" * (len(_OVERVIEW) + 1) + "|"]
     for name, rows in clips.items():
         lines.append(f"| `{name}` | {' | '.join(rows[key] for key in _OVERVIEW)} |")
@@ -88,7 +84,7 @@ def overview(clips: dict[str, dict[str, str]]) -> str:
 
 
 def turn_rad(clip: MotionClip) -> float:
-    """Return how far in rad the heading turns to the left over the clip, all turns counted."""
+    """Return the change of the heading over the clip in rad, not wrapped, left positive."""
     heading = rotations.calc_heading(torch.from_numpy(clip.local_rotation[:, 0]).double()).numpy()
     turned = np.unwrap(heading)
     return float(turned[-1] - turned[0])

@@ -1,4 +1,4 @@
-"""Inverse kinematics: whole-body poses that put feet, pelvis and centre of mass where planned."""
+"""Solves the inverse kinematics for targets of feet, pelvis and centre of mass."""
 
 from __future__ import annotations
 
@@ -10,27 +10,25 @@ import numpy as np
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.utils.optional_packages import import_package
 
-_SOLVER = "daqp"  # the quadratic-programming solver that mink itself installs
+_SOLVER = "daqp"  # mink installs this quadratic-programming solver
 _MAX_ITERATIONS = 200
-_CONVERGED = 1e-8  # largest joint step (rad, m) of the last iteration
-# Distance to the joint limits. The knees stay bent a little: a straight leg does not feel, to first
-# order, that bending shortens it, and the search would stick there.
+_CONVERGED = 1e-8  # largest joint step in rad or m
+# This distance to the joint limits keeps the knees bent. Bending a straight knee does not change
+# the length of the leg to first order, which would stop the search.
 _KEEP_OFF_RAD = np.radians(3.0)
-# Weights of the errors (1/m, 1/rad). The feet come first, to within micrometres; then the path of
-# the centre of mass, the attitude of the pelvis and the angles of trunk and arms. The angles of the
-# legs, which have to give way, come last.
+# Weights of the errors in 1/m and 1/rad. The feet are most important and reach micrometres. The
+# angles of the legs are least important, because they follow from the feet.
 _FOOT, _COM, _PELVIS, _UPPER_BODY, _LEG = 100.0, 3.0, 3.0, 1.0, 0.05
 
 
 class PoseSolver:
     """Finds poses of a MuJoCo humanoid with the library mink.
 
-    Every pose is solved for itself, from the same start, so equal targets give equal poses and the
-    cycles close.
+    Every pose is solved independently. Therefore equal targets give equal poses, and cycles close.
 
     Args:
         model: the humanoid; body 1 is its root, with a free joint.
-        foot_names: bodies that are put in place exactly.
+        foot_names: bodies with target poses.
 
     Raises:
         MissingPackageError: mink is not installed.
@@ -48,16 +46,15 @@ class PoseSolver:
         ]
 
     def solve(self, qpos: FloatArray, com: FloatArray, foot_poses: list[FloatArray]) -> FloatArray:
-        """Return the pose (nq) nearest to `qpos` that meets the targets.
+        """Return the pose (nq) that meets the targets and stays near `qpos`.
 
         Args:
-            qpos: (nq), joint angles and attitude of the root to stay near, and the start of the
-                search.
+            qpos: (nq), preferred pose and start of the search.
             com: (3) m, the centre of mass in the world.
-            foot_poses: one array (7) per foot: quaternion wxyz and position (m) in the world.
+            foot_poses: for each foot a quaternion wxyz and a position in m in the world, (7).
 
         Raises:
-            RuntimeError: the search does not come to rest.
+            RuntimeError: the search does not converge.
         """
         configuration = self._configuration
         configuration.update(qpos)
@@ -75,8 +72,8 @@ class PoseSolver:
             if np.abs(step).max() < _CONVERGED:
                 return configuration.q.copy()
         raise RuntimeError(
-            f"inverse kinematics did not come to rest in {_MAX_ITERATIONS} iterations "
-            f"(last step {np.abs(step).max():.2e} rad)"
+            f"inverse kinematics did not converge in {_MAX_ITERATIONS} iterations "
+            f"(last step {np.abs(step).max():.2e} rad); make the targets easier to reach"
         )
 
     def _frame_task(self, body: str, position_cost: float, orientation_cost: float) -> Any:
@@ -84,7 +81,7 @@ class PoseSolver:
 
 
 def _posture_costs(model: mujoco.MjModel, foot_names: tuple[str, ...]) -> FloatArray:
-    """Return the weight of every joint velocity (nv): small between a foot and the root."""
+    """Return the weights of all joint velocities (nv), which are small in the legs."""
     costs = np.full(model.nv, _UPPER_BODY)
     for name in foot_names:
         body = model.body(name).id

@@ -1,1 +1,1 @@
-"""A planner of moves that are no straight periodic gait: turns, side-steps, starts, stops, hops."""
+"""Plans moves that are not periodic gaits: turns, side-steps, starts, stops, hops."""

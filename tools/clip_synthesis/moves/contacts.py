@@ -1,4 +1,4 @@
-"""The feet of a move: where and when each is on the ground, and how it swings between."""
+"""Plans the feet of a move: contacts with the ground, and swings between the contacts."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from tools.clip_synthesis.moves.move import Hop, Move, Steps
 from tools.clip_synthesis.moves.path import Path
 
 Place = tuple[float, float, float]
-"""x and y in m, yaw in rad."""
+"""The values are x and y in m and yaw in rad."""
 SIDES = (("right", -1.0), ("left", 1.0))
-_SETTLE_S = 0.3  # the pressure goes over a sole that stands for long in this time
-_FIRST_UNLOAD_S = 0.5  # taking the weight off a foot to begin to walk
-_FEET_LAG = 0.5  # share of the body's speed that flying feet lack at take-off and landing
-_ROUNDING_M = 0.03  # of the sole's edges in mid-swing, see `Leg.rolled`
+_SETTLE_S = 0.3  # largest time of the pressure on its way over half of the sole
+_FIRST_UNLOAD_S = 0.5  # time to unload the first foot of a walk
+_FEET_LAG = 0.5  # the feet leave and meet the ground slower than the body by this share
+_ROUNDING_M = 0.03  # radius of the sole's edges in mid-swing, see `Leg.rolled`
 
 
 @dataclass(frozen=True)
 class Contact:
-    """One foot on the ground, from touch-down to lift-off (infinite at the ends of a move).
+    """One foot on the ground from touch-down to lift-off.
 
     Attributes:
-        touch_down_s, lift_off_s: times.
+        touch_down_s, lift_off_s: times, infinite at the ends of a move.
         place: x, y in m and yaw in rad of the middle of the sole.
         strike_rad, lift_rad: pitch at touch-down and lift-off, toes up positive.
-        flat_s, roll_s: how long after touch-down and before lift-off the sole is not flat.
-        load_s, unload_s: time in which the weight goes onto the foot, and off it.
+        flat_s, roll_s: time after touch-down and before lift-off with a tilted sole.
+        load_s, unload_s: time of loading after touch-down and of unloading before lift-off.
     """
 
     touch_down_s: float
@@ -48,26 +48,22 @@ class Contact:
     unload_s: float
 
     def pitch(self, times_s: FloatArray) -> FloatArray:
-        """Return the pitch (n) in rad at times (n) of the contact."""
+        """Return the pitch (n) in rad at times (n) during the contact."""
         down = smoothstep((times_s - self.touch_down_s) / self.flat_s)
         roll = np.clip((times_s - self.lift_off_s) / self.roll_s + 1.0, 0.0, 1.0)
         return self.strike_rad * (1.0 - down) + self.lift_rad * roll * roll
 
-    @property
-    def lift_rate(self) -> float:
-        """The rate of the pitch at lift-off in rad/s."""
-        return 2.0 * self.lift_rad / self.roll_s
-
     def load(self, times_s: FloatArray) -> FloatArray:
-        """Return the share (n) of its full weight that the foot carries at times (n)."""
+        """Return the load (n) of the foot at times (n) as a share of its full load."""
         on = smoothstep((times_s - self.touch_down_s) / self.load_s)
         off = smoothstep((self.lift_off_s - times_s) / self.unload_s)
         return on * off
 
     def pressure_along(self, times_s: FloatArray, leg: Leg) -> FloatArray:
-        """Return where the pressure is (n), in m ahead of the sole's middle, at times (n).
+        """Return how far (n) in m the centre of pressure is ahead of the middle of the sole.
 
-        On the edge that the foot turns about; between, it travels over the middle.
+        The centre of pressure starts and ends on the edge about which the foot turns. It moves over
+        the flat sole and pauses at the middle.
         """
         half = 0.5 * (leg.heel_m + leg.toe_m)
         first, last = -half * np.sign(self.strike_rad), -half * np.sign(self.lift_rad)
@@ -80,13 +76,13 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class FootTrack:
-    """All contacts of one foot in the order of time, the first and the last without end.
+    """The motion of one foot.
 
     Attributes:
-        contacts: in the order of time.
-        leg: its dimensions.
-        clearance_m: how high the sole's lowest edge swings, without jolt at the ends.
-        rise_m: how high it flies besides, when the whole body is thrown up.
+        contacts: contacts in the order of time; the first and the last are unlimited.
+        leg: dimensions of the leg.
+        clearance_m: height of the sole's lowest edge in mid-swing.
+        rise_m: additional height in the flight of a jump.
     """
 
     contacts: tuple[Contact, ...]
@@ -95,7 +91,7 @@ class FootTrack:
     rise_m: float = 0.0
 
     def poses(self, times_s: FloatArray) -> FloatArray:
-        """Return x, y, z (m) of the ankle, yaw and pitch (rad), (n, 5), at times (n)."""
+        """Return x, y, z (m) of the ankle, yaw and pitch (rad) as (n, 5) at times (n)."""
         flat = np.empty((len(times_s), 3))
         pitch, lift, rounding = (np.zeros(len(times_s)) for _ in range(3))
         for contact in self.contacts:
@@ -106,25 +102,25 @@ class FootTrack:
             span_s = after.touch_down_s - before.lift_off_s
             u = (times_s[here] - before.lift_off_s) / span_s
             flat[here] = arc(before.place, after.place, minimum_jerk(u))
-            leave = np.array([before.lift_rad]), np.array([before.lift_rate])
+            lift_rate = 2.0 * before.lift_rad / before.roll_s
+            leave = np.array([before.lift_rad]), np.array([lift_rate])
             arrive = np.array([after.strike_rad]), np.zeros(1)
             pitch[here] = hermite(leave, arrive, span_s, u)[:, 0]
             bump = np.sin(np.pi * u) ** 2
-            # Feet leave and meet the ground slower than the body that they push and catch.
             late = u - _FEET_LAG * np.sin(2.0 * np.pi * u) / (2.0 * np.pi)
             lift[here] = self.clearance_m * bump + 4.0 * self.rise_m * late * (1.0 - late)
             rounding[here] = _ROUNDING_M * bump
         ahead, up = self.leg.rolled(pitch, rounding).T
-        ahead = ahead - self._middle_m
+        ahead = ahead - 0.5 * (self.leg.toe_m - self.leg.heel_m)
         x, y = flat[:, 0] + ahead * np.cos(flat[:, 2]), flat[:, 1] + ahead * np.sin(flat[:, 2])
         return np.stack((x, y, up + lift, flat[:, 2], pitch), axis=-1)
 
     def load(self, times_s: FloatArray) -> FloatArray:
-        """Return the share (n) of its full weight that the foot carries, 0 in the air."""
+        """Return the load (n) as a share of the foot's full load, 0 in the air."""
         return np.sum([contact.load(times_s) for contact in self.contacts], axis=0)
 
     def pressure_moment(self, times_s: FloatArray) -> FloatArray:
-        """Return load times place (n, 2) in m of the pressure under the foot."""
+        """Return the load times the centre of pressure (n, 2) in m."""
         moment = np.zeros((len(times_s), 2))
         for contact in self.contacts:
             x, y, yaw = contact.place
@@ -133,11 +129,6 @@ class FootTrack:
             moment += contact.load(times_s)[:, None] * point
         return moment
 
-    @property
-    def _middle_m(self) -> float:
-        """How far the middle of the sole is ahead of the ankle."""
-        return 0.5 * (self.leg.toe_m - self.leg.heel_m)
-
 
 def minimum_jerk(u: FloatArray) -> FloatArray:
     """Return 10 u^3 - 15 u^4 + 6 u^5 (Flash and Hogan, J. Neurosci. 5 (1985) 1688-1703)."""
@@ -145,21 +136,20 @@ def minimum_jerk(u: FloatArray) -> FloatArray:
 
 
 def arc(start: Place, end: Place, u: FloatArray) -> FloatArray:
-    """Return x, y, yaw (n, 3) on the way from `start` (u = 0) to `end` (u = 1), u (n).
+    """Return x, y, yaw (n, 3) at u (n) on an arc from `start` (u = 0) to `end` (u = 1).
 
-    The yaw grows evenly and the direction of travel turns with it, so that a foot passes the other
-    one on a curve as it does straight ahead.
+    Yaw and direction of travel turn together, therefore a foot passes the other foot on a curve.
     """
     (x, y, yaw), (end_x, end_y, end_yaw) = start, end
     chord = complex(end_x - x, end_y - y)
-    # On a circle the tangents at both ends differ from the chord by half of the turn.
+    # The tangents at both ends of a circular arc differ from the chord by half of the turn.
     tangents = [chord * cmath.exp(0.5j * sign * (end_yaw - yaw)) for sign in (-1.0, 1.0)]
     rates = [np.array((tangent.real, tangent.imag, end_yaw - yaw)) for tangent in tangents]
     return hermite((np.array(start), rates[0]), (np.array(end), rates[1]), 1.0, u)
 
 
 def plan_feet(move: Move, path: Path, leg: Leg) -> tuple[FootTrack, FootTrack]:
-    """Return the tracks of right and left foot."""
+    """Plan the motion of the right and the left foot."""
     if move.hop is not None:
         right, left = (_hop_contacts(move.hop, move.steps, side) for _, side in SIDES)
         tuck_m, rise_m = move.hop.tuck_m, GRAVITY * move.hop.flight_s**2 / 8.0
@@ -170,12 +160,12 @@ def plan_feet(move: Move, path: Path, leg: Leg) -> tuple[FootTrack, FootTrack]:
 
 
 def _step_contacts(steps: Steps, path: Path, foot: str, side: float) -> tuple[Contact, ...]:
-    """Return the contacts of one foot that follows the path, from standing to standing."""
+    """Return the contacts of one foot along the path, from standing to standing."""
     late = 0 if foot == steps.first_foot else 1
     lift_s = [steps.first_lift_s + k * steps.step_s for k in range(late, steps.count, 2)]
     down_s = [time + steps.step_s - steps.both_s for time in lift_s]
     stance_s = steps.step_s + steps.both_s
-    # A foot is put where the body will be halfway through its stance.
+    # A foot is placed next to the body's position at the middle of the stance.
     places = [
         _place(steps, path, side, time) for time in (0.0, *(t + 0.5 * stance_s for t in down_s))
     ]
@@ -216,7 +206,7 @@ def _hop_contacts(hop: Hop, steps: Steps, side: float) -> tuple[Contact, ...]:
             lift_rad=math.radians(lift),
             flat_s=hop.flat_s,
             roll_s=hop.roll_s,
-            load_s=1e-6,  # both feet share the weight as long as they touch
+            load_s=1e-6,  # both feet share the weight during the whole contact
             unload_s=1e-6,
         )
         for (start, end), (strike, lift), x in zip(
@@ -226,7 +216,7 @@ def _hop_contacts(hop: Hop, steps: Steps, side: float) -> tuple[Contact, ...]:
 
 
 def _place(steps: Steps, path: Path, side: float, time_s: float) -> Place:
-    """Return x, y, yaw of a foot put beside the path as it is at a time."""
+    """Return the place of a foot next to the path's position at a time."""
     x, y, yaw = (float(value) for value in path(time_s))
     aside = 0.5 * side * steps.width_m
     toe_out = side * math.radians(steps.toe_out_deg)
@@ -234,6 +224,6 @@ def _place(steps: Steps, path: Path, side: float, time_s: float) -> Place:
 
 
 def _way_forward(start: Place, end: Place) -> float:
-    """Return how far in m a foot goes along the direction that it points to halfway."""
+    """Return the length of a step in m along the mean direction of the foot."""
     yaw = 0.5 * (start[2] + end[2])
     return (end[0] - start[0]) * math.cos(yaw) + (end[1] - start[1]) * math.sin(yaw)

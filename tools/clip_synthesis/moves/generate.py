@@ -1,4 +1,4 @@
-"""From the data of a move to a motion clip."""
+"""Makes a motion clip of the data of a move."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tools.clip_synthesis.solve import PoseSolver
 
 FPS = 30
 _PASSES = 4
-_PAD = 6  # frames beyond the clip: for differences, and so that what is smoothed has no ends
+_PAD = 6  # additional frames at both ends for differences and smoothing
 
 
 def generate_move(move: Move) -> MotionClip:
@@ -40,7 +40,7 @@ def generate_move(move: Move) -> MotionClip:
 
 
 def solve_move(move: Move, skeleton: Skeleton) -> FloatArray:
-    """Return the poses qpos (T + 2 pad, nq) of a move's clip, with a pad on either side."""
+    """Return the poses qpos (T + 2 pad, nq) of a move's clip with its additional frames."""
     model = mujoco.MjModel.from_xml_path(str(paths.assets_dir() / MODEL))
     plan = MovePlan.of(move, Leg.from_skeleton(skeleton))
     first, last = (round(time * FPS) for time in move.window_s)
@@ -51,7 +51,7 @@ def solve_move(move: Move, skeleton: Skeleton) -> FloatArray:
     solver = PoseSolver(model, tuple(f"{name}_foot" for name, _ in SIDES))
     poses = qpos_from_poses(skeleton, np.zeros((len(times_s), 3)), posture)
     shift = np.zeros((len(times_s), 2))
-    # Where the hips are depends on the poses, and the poses on where the hips are planned.
+    # The poses depend on the planned hips, and the hips depend on the poses.
     for _ in range(_PASSES):
         com, hips = dynamics.com_and_hips(model, poses)
         offset = hips - com[:, None]
@@ -74,10 +74,7 @@ def aim_leg(
     hip: FloatArray,
     foot: FloatArray,
 ) -> None:
-    """Write into rotations (n, J, 4) the leg that joins a hip (n, 3) to a foot (n, 5).
-
-    The leg lies in the plane of the foot, as far as the foot is not beside the hip.
-    """
+    """Write the rotations of a leg between hip (n, 3) and foot (n, 5) into `posture` (n, J, 4)."""
     offset, yaw = foot[:, :3] - hip, foot[:, 3]
     ahead = offset[:, 0] * np.cos(yaw) + offset[:, 1] * np.sin(yaw)
     beside = offset[:, 1] * np.cos(yaw) - offset[:, 0] * np.sin(yaw)
@@ -86,7 +83,7 @@ def aim_leg(
 
 
 def _momentum_shift(model: mujoco.MjModel, poses: FloatArray) -> FloatArray:
-    """Return (L_y', -L_x') / m, (n, 2), of poses (n, nq); see `plan_com`."""
+    """Return (L_y', -L_x') / m as (n, 2) for poses (n, nq); see `plan_com`."""
     moment = dynamics.moments(model, poses, FPS)
     kernel = np.array([0.25, 0.5, 0.25])
     smooth = np.stack(

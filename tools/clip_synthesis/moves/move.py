@@ -1,34 +1,34 @@
-"""What a move is made of: plain data, in the words of somebody who describes how people move."""
+"""Describes a move as plain data."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 Knots = tuple[tuple[float, ...], ...]
-"""Rows (time_s, value, ...) in the order of time; between them values go over smoothly."""
+"""Rows (time_s, value, ...) in the order of time; `path.ease` interpolates them smoothly."""
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Footsteps: one foot after the other is lifted, every `step_s`.
+    """Footsteps; the feet are lifted in turns, one every `step_s`.
 
-    Pitches are angles of the foot to the ground, toes up positive. They grow with the way that the
-    foot goes forward (m): long steps land on the heel, steps backwards on the toes.
+    A pitch is the angle of the foot to the ground, toes up positive. Pitches grow with the forward
+    length of the step in m. Long steps land on the heel, and backward steps land on the toes.
 
     Attributes:
         count: number of steps; 0 is standing.
         first_foot: `right` or `left`.
         first_lift_s: time at which the first foot leaves the ground.
         step_s: time from step to step.
-        both_s: time of a step that both feet are on the ground.
-        width_m: distance of the feet's middle lines.
-        toe_out_deg: angle of the feet to the direction of the body.
+        both_s: time in each step with both feet on the ground.
+        width_m: lateral distance of the feet's centres.
+        toe_out_deg: angle of the feet to the heading.
         clearance_m: height of the sole's lowest edge in mid-swing.
-        strike_deg_per_m: pitch at touch-down.
-        lift_deg: pitch at lift-off of a step on the spot.
-        lift_deg_per_m: its growth with the way forward.
+        strike_deg_per_m: pitch at touch-down per m of step length.
+        lift_deg: pitch at lift-off for a step on the spot.
+        lift_deg_per_m: additional pitch at lift-off per m of step length.
         flat_s: time from touch-down until the sole is flat.
-        roll_s: time from when the sole is no longer flat until lift-off.
+        roll_s: time from the flat sole to lift-off.
     """
 
     count: int = 0
@@ -53,14 +53,14 @@ class Hop:
     Attributes:
         take_off_s: time at which the feet leave the ground.
         flight_s: time in the air.
-        forward_m: how much further the feet land.
-        crouch_s: when the body is lowest before the push; `crouch_m` lower than in standing.
-        absorb_s: when it is lowest after landing, `absorb_m` lower.
-        stand_s: (end of standing, standing again).
-        lift_deg, strike_deg: pitch of the feet as they leave and meet the ground.
-        roll_s, flat_s: as for steps.
-        tuck_m: how much further the feet are drawn up in mid-flight than they fall freely.
-        give_m: how much lower the body is at take-off and landing than with stretched legs.
+        forward_m: length of the jump.
+        crouch_s, crouch_m: time and depth of the lowest point before take-off, below standing.
+        absorb_s, absorb_m: time and depth of the lowest point after landing, below standing.
+        stand_s: end of the first standing and start of the last standing.
+        lift_deg, strike_deg: pitch of the feet at take-off and landing.
+        roll_s, flat_s: see `Steps`.
+        tuck_m: additional lift of the feet in mid-flight over free fall.
+        give_m: lowering of the body at take-off and landing relative to stretched legs.
     """
 
     take_off_s: float
@@ -81,25 +81,25 @@ class Hop:
 
 @dataclass(frozen=True)
 class Carriage:
-    """How trunk, head and arms are held. Angles in degrees.
+    """Posture of trunk, head and arms; all angles are in degrees.
 
     Attributes:
         lean: knots of the thorax' forward lean.
         pelvis_tilt: knots of the pelvis' forward tilt.
         shoulder: knots of the upper arms' forward angle to the thorax.
         elbow: knots of the elbows' flexion.
-        arm_swing_deg_per_m: how far the arms swing for the way between the feet; the arm goes
-            forward with the foot of the other side.
-        elbow_share: how much the elbow bends further per angle of swing.
-        pelvis_turn_deg_per_m, thorax_turn_deg_per_m: how pelvis and thorax turn with the way
-            between the feet: the pelvis forward with the foot, the thorax against it.
-        pelvis_drop_deg: how much the pelvis' other side drops while one foot carries the body.
-        look_ahead_s: the head looks where the body will be turned so much later.
-        abduction_deg, rotation_deg: the upper arm from the trunk, and about itself (inwards).
+        arm_swing_deg_per_m: swing of an arm per m of distance between the feet. Each arm moves
+            forward with the opposite foot.
+        elbow_share: additional elbow flexion per angle of swing.
+        pelvis_turn_deg_per_m, thorax_turn_deg_per_m: turn per m of distance between the feet. The
+            pelvis turns with the front foot, the thorax against it.
+        pelvis_drop_deg: drop of the pelvis on the side of the unloaded foot.
+        look_ahead_s: the head faces the heading of the body after this time.
+        abduction_deg, rotation_deg: angle of the upper arm to the trunk, and its inward turn.
         twist: knots of the thorax' turn to the left.
         nod: knots of the head's angle to the horizon, down positive.
-        right_arm: knots (time_s, shoulder, abduction, rotation, elbow), what the right arm does in
-            the place of swinging; (): it swings.
+        right_arm: knots (time_s, shoulder, abduction, rotation, elbow), which replace the swing of
+            the right arm unless they are empty.
     """
 
     lean: Knots = ((0.0, 2.0),)
@@ -121,21 +121,20 @@ class Carriage:
 
 @dataclass(frozen=True)
 class Move:
-    """One move; it is planned from standing to standing, and the clip shows a part of that.
+    """One move; it is planned from standing to standing, and the clip is a part of the plan.
 
     Attributes:
-        name: of the clip.
-        window_s: (start, end) of the clip.
-        path: knots (time_s, forward m/s, to the left m/s, turn to the left deg/s): where the body
-            goes, in its own frame.
-        steps: how the feet follow.
-        carriage: how the rest is held.
-        straightest_knee: knots of the straightest knee's flexion in degrees; decides how high the
-            body is.
-        sway_m: (forward, to the left) amplitude of the pressure under standing feet, over
-            `sway_s`; forward twice in that time.
-        sway_s: see there.
-        hop: a jump off both feet, in the place of steps.
+        name: name of the clip.
+        window_s: start and end of the clip.
+        path: knots (time_s, forward m/s, left m/s, left turn deg/s) of the body's velocity in its
+            heading frame.
+        steps: the footsteps.
+        carriage: posture of trunk, head and arms.
+        straightest_knee: knots of the smallest knee flexion in degrees, which sets the height of
+            the body.
+        sway_m: forward and left amplitude of the centre of pressure in standing.
+        sway_s: period of the left sway; the forward sway has half of this period.
+        hop: a jump in place of steps.
     """
 
     name: str

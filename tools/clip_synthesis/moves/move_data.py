@@ -1,4 +1,4 @@
-"""The moves that ship, as data."""
+"""Lists the shipped moves as data."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _SIDESTEP_LEFT = Move(
     name="sidestep_left",
     window_s=(2.8, 2.8 + 2.7),
     path=((0.8, 0, 0, 0), (2.4, 0, 0.45, 0)),
-    # So wide that the following foot does not meet the leading one.
+    # The width keeps the following foot clear of the leading foot.
     steps=Steps(count=14, first_lift_s=1.0, step_s=0.45, width_m=0.34),
 )
 
@@ -101,13 +101,9 @@ _DIAGONAL_BACK_LEFT = Move(
 
 
 def _quick_step(name: str, forward_m_s: float, left_m_s: float, **steps: Any) -> Move:
-    """Return one quick step from standing, as after a push, and a second one to stand again.
+    """Return one quick step from standing, and a second step to stand again.
 
-    Args:
-        name: of the clip.
-        forward_m_s: largest speed of the body, forward.
-        left_m_s: the same to the left.
-        steps: keys of `Steps`.
+    The speeds are the largest speeds of the body. `steps` are arguments of `Steps`.
     """
     return Move(
         name=name,
@@ -141,8 +137,8 @@ _JUMP = Move(
     window_s=(0.2, 2.9),
     steps=Steps(width_m=0.2),
     carriage=Carriage(
-        # Timed so that the legs, drawn up in flight, do not ask for angular momentum: the trunk
-        # stretches before take-off and bends with the legs, the arms swing before.
+        # Trunk and arms balance the angular momentum of the legs in flight. The trunk stretches
+        # before take-off and bends with the legs. The arms swing earlier.
         lean=((0.4, 2), (0.92, 32), (1.18, 8), (1.4, 22), (1.56, 16), (1.8, 28), (2.4, 2)),
         pelvis_tilt=((0.4, 2), (0.92, 22), (1.18, 4), (1.4, 16), (1.56, 10), (1.8, 20), (2.4, 2)),
         shoulder=((0.4, -4), (0.88, -50), (1.22, 75), (1.95, 10), (2.5, -4)),
@@ -184,16 +180,8 @@ def _reach(
 ) -> Move:
     """Return a reach with the right hand from standing: out in `out_s`, held, and back.
 
-    Args:
-        name: of the clip.
-        arm: shoulder, abduction, rotation, elbow in degrees, as `Carriage.right_arm`.
-        lean: degrees in the reach; this and the next three as in `Carriage`.
-        pelvis_tilt: see there.
-        twist: see there.
-        nod: see there.
-        knee: flexion in degrees in the reach.
-        out_s: time on the way out, and back.
-        width_m: distance of the feet.
+    `Carriage` describes the angles, `arm` has the order of its `right_arm`. `knee` is the flexion
+    of the knees in the reach in degrees.
     """
     times_s = (0.5, 0.5 + out_s, 1.3 + out_s, 1.3 + 2.0 * out_s)
 
@@ -258,7 +246,7 @@ MOVES: dict[str, Move] = {
     )
 }
 
-# Clips that are mirror images of others.
+# Each name maps to the mirrored move.
 MIRRORED: dict[str, str] = {
     "sidestep_right": "sidestep_left",
     "turn_right": "turn_left",

@@ -1,4 +1,4 @@
-"""Where the body is planned to go over the ground: a velocity profile, integrated."""
+"""Integrates the velocity profile of a move to the body's path over the ground."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _STEP_S = 1.0 / 480.0
 
 
 def ease(knots: Knots, times_s: FloatArray) -> FloatArray:
-    """Return the values (n, d) of knots (time_s, d values) at times (n).
+    """Interpolate knots (time_s, d values) at times (n); return the values (n, d).
 
-    From knot to knot the value follows 3 u^2 - 2 u^3, so its rate is 0 at the knots; before the
-    first and behind the last it stays.
+    The values follow 3 u^2 - 2 u^3 between two knots, and their rate is 0 at the knots. They are
+    constant before the first and after the last knot.
     """
     table = np.asarray(knots, dtype=np.float64)
     place = np.interp(times_s, table[:, 0], np.arange(len(table)))
@@ -29,11 +29,11 @@ def ease(knots: Knots, times_s: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Positions (x, y in m) and headings (rad) over time; they stay before and after it.
+    """Positions (x, y in m) and headings (rad) over time, constant before and after it.
 
     Attributes:
         times_s: (n).
-        places: (n, 3), x, y, yaw; the yaw is not wrapped.
+        places: (n, 3), x, y and yaw; the yaw is not wrapped.
     """
 
     times_s: FloatArray
@@ -46,12 +46,7 @@ class Path:
 
 
 def follow(profile: Knots, end_s: float) -> Path:
-    """Integrate a profile from (0, 0, 0) at time 0 until `end_s`.
-
-    Args:
-        profile: knots (time_s, forward m/s, left m/s, turn deg/s), in the frame of the body.
-        end_s: where to stop.
-    """
+    """Integrate the velocity profile `Move.path` from (0, 0, 0) at time 0 until `end_s`."""
     times_s = np.arange(0.0, end_s + _STEP_S, _STEP_S)
     forward, left, turn = ease(profile, times_s).T
     yaw = _integral(np.radians(turn))
@@ -61,5 +56,5 @@ def follow(profile: Knots, end_s: float) -> Path:
 
 
 def _integral(rate: FloatArray) -> FloatArray:
-    """Return the integral (n) of a rate (n) from 0, by trapezoids."""
+    """Integrate a rate (n) from 0 by trapezoids."""
     return np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1])) * _STEP_S))

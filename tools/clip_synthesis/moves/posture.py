@@ -1,4 +1,4 @@
-"""How trunk, head and arms go along with the feet of a move."""
+"""Computes the rotations of trunk, head and arms for the feet of a move."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from tools.clip_synthesis.moves.move import Carriage
 from tools.clip_synthesis.moves.path import Path, ease
 from tools.clip_synthesis.posture import compose, turn
 
-_CALM_S = 0.12  # the trunk and the arms follow the feet through a bell of this half width
-_CALM_SAMPLES = 9
+_SMOOTH_S = 0.12  # half width of the window that smooths the motion of trunk and arms
+_SMOOTH_SAMPLES = 9
 
 
 def target_rotations(
@@ -26,18 +26,18 @@ def target_rotations(
     path: Path,
     times_s: FloatArray,
 ) -> FloatArray:
-    """Return rotations relative to the parent (n, J, 4) xyzw at times (n), legs straight.
+    """Return rotations relative to the parents (n, J, 4) xyzw at times (n) with straight legs.
 
-    The root's is relative to the world.
+    The root's rotation is relative to the world.
     """
     yaw = path(times_s)[:, 2]
-    apart = _calm(lambda t: _feet_apart(tracks, path, t), times_s)
-    uneven = _calm(lambda t: _uneven_load(tracks, t), times_s)
+    apart = _smooth(lambda t: _feet_apart(tracks, path, t), times_s)
+    uneven = _smooth(lambda t: _uneven_load(tracks, t), times_s)
     lean, tilt, twist, nod = (
         np.radians(ease(knots, times_s)[:, 0])
         for knots in (carriage.lean, carriage.pelvis_tilt, carriage.twist, carriage.nod)
     )
-    # `apart` is positive with the left foot ahead: the pelvis' left side then goes ahead too.
+    # With the left foot ahead `apart` is positive, and the pelvis' left side is ahead, too.
     pelvis = compose(
         turn("z", yaw - np.radians(carriage.pelvis_turn_deg_per_m) * apart),
         turn("y", tilt),
@@ -54,7 +54,7 @@ def target_rotations(
     turns["head"] = rotations.quat_mul(rotations.quat_conjugate(thorax), look)
     for name, side in SIDES:
         shoulder, abduction, rotation, elbow = _arm_angles(carriage, side, apart, times_s)
-        # About +y a hanging arm swings backwards, and the elbow bends with negative angles.
+        # Positive turns about y swing a hanging arm backwards and stretch the elbow.
         turns[f"{name}_upper_arm"] = compose(
             turn("y", -shoulder), turn("x", side * abduction), turn("z", -side * rotation)
         )
@@ -65,7 +65,7 @@ def target_rotations(
 def _arm_angles(
     carriage: Carriage, side: float, apart: FloatArray, times_s: FloatArray
 ) -> FloatArray:
-    """Return shoulder, abduction, rotation, elbow (4, n) in rad of one arm; `side` as in SIDES."""
+    """Return shoulder, abduction, rotation, elbow (4, n) in rad; `side` is a sign of `SIDES`."""
     if side < 0.0 and carriage.right_arm:
         return np.radians(ease(carriage.right_arm, times_s).T)
     swing = -side * np.radians(carriage.arm_swing_deg_per_m) * apart
@@ -80,7 +80,7 @@ def _arm_angles(
 
 
 def _feet_apart(tracks: tuple[FootTrack, FootTrack], path: Path, times_s: FloatArray) -> FloatArray:
-    """Return how far (n) in m the left foot is ahead of the right one along the heading."""
+    """Return how far (n) in m the left foot is ahead of the right foot along the heading."""
     right, left = (track.poses(times_s) for track in tracks)
     yaw = path(times_s)[:, 2]
     way = left[:, :2] - right[:, :2]
@@ -88,15 +88,15 @@ def _feet_apart(tracks: tuple[FootTrack, FootTrack], path: Path, times_s: FloatA
 
 
 def _uneven_load(tracks: tuple[FootTrack, FootTrack], times_s: FloatArray) -> FloatArray:
-    """Return (n) 1 where the left foot carries the body, -1 where the right one does."""
+    """Return the load of the left foot minus the load of the right foot, (n) in [-1, 1]."""
     right, left = (track.load(times_s) for track in tracks)
     return (left - right) / np.maximum(left + right, 1.0)
 
 
-def _calm(signal: Callable[[FloatArray], FloatArray], times_s: FloatArray) -> FloatArray:
-    """Return the mean of a function of time around times (n), weighted like a bell."""
-    weights = np.hanning(_CALM_SAMPLES + 2)[1:-1]
-    shifts = np.linspace(-_CALM_S, _CALM_S, _CALM_SAMPLES)
+def _smooth(signal: Callable[[FloatArray], FloatArray], times_s: FloatArray) -> FloatArray:
+    """Return the mean of a function of time around times (n) with Hann weights."""
+    weights = np.hanning(_SMOOTH_SAMPLES + 2)[1:-1]
+    shifts = np.linspace(-_SMOOTH_S, _SMOOTH_S, _SMOOTH_SAMPLES)
     values = [
         weight * signal(times_s + shift) for weight, shift in zip(weights, shifts, strict=True)
     ]
