@@ -194,7 +194,7 @@ def test_largest_hinge_violation_is_reported(
         fit_to_skeleton(clip, humanoid)
     (record,) = caplog.records
     message = record.getMessage()
-    assert "'left_shin' is a hinge about (0, 1, 0) but turns 0.200 rad" in message
+    assert "'left_shin' is a hinge about (0, 1, 0) but rotates 0.200 rad" in message
     assert "in frame 2" in message
 
 

@@ -155,12 +155,9 @@ def test_bad_files_are_one_line(tmp_path: Path, humanoid) -> None:
 def test_rows_of_other_robots(tmp_path: Path, humanoid) -> None:
     for suffix in ("txt", "json"):
         path = tmp_path / f"clip.{suffix}"
-        path.write_text(json.dumps({"FrameDuration": 0.02, "Frames": [[0.5] * 19] * 3}))
-        with pytest.raises(
-            MotionFileError, match="columns, as motion_imitation's of quad"
-        ) as raised:
+        path.write_text(json.dumps({"Frames": [[0.5] * 19] * 3}))
+        with pytest.raises(MotionFileError, match=r"19 columns.*convert it with robot=FILE"):
             load_clips(path, humanoid)
-        assert str(raised.value).endswith("convert it with robot=FILE file_fps=50")
 
 
 def test_round_trip(tmp_path: Path, humanoid: Skeleton) -> None:
