@@ -252,7 +252,7 @@ def test_mistakes_are_one_line(refused) -> None:
         (("walk", "a.npz", "robot=mjcf/h1.xml"), "robot=mjcf/h1.xml: no such file in "),
         (("walk", "a.npz", "robot=robot.xml"), "engine plugins are not loaded"),
         (("walk", "a.npy", G1), "found '.npy'; choices: .npz, .csv"),
-        (("walk", "a.npz", G1, "num_dofs=28"), "num_dofs=28 chooses a humanoid and robot="),
+        (("walk", "a.npz", G1, "num_dofs=28"), "num_dofs=28 selects a humanoid and robot="),
         (("walk", "a.npz", G1, "mapping=cmu,lafan1"), "two mappings of a BVH file's skeleton"),
         (("walk", "a.npz", G1, "mapping=g2"), "a shipped mapping: cmu, lafan1, g1"),
         (("g1_walk", "a.npz", G1, "mapping=g1"), "is a clip of this robot, which needs no mapping"),

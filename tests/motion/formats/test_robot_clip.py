@@ -241,7 +241,7 @@ def test_bodies_show_the_order_of_their_quaternions(tmp_path, order, world, capl
 def test_an_order_of_quaternions_for_a_file_without_them(tmp_path):
     frames = np.zeros((3, 7)).tolist()
     path = write_pickle(tmp_path / "a.pkl", {"fps": 30, "frames": frames})
-    with pytest.raises(MotionFileError, match=r"no quaternions, so that quat_order=wxyz"):
+    with pytest.raises(MotionFileError, match=r"no quaternions, which quat_order=wxyz"):
         read_joint_clip(path, quat_order="wxyz")
 
 
