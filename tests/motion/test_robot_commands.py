@@ -101,7 +101,7 @@ def test_a_clip_of_the_humanoid_moves_a_robot(g1: Skeleton, caplog) -> None:
     with caplog.at_level("INFO"):
         convert("walk", "g1.npz", G1, "end_s=0.5", "fps=30")
     assert "has the bodies of mapping=g1" in caplog.text
-    assert "scaled by 0.749, the length of the legs" in caplog.text
+    assert "scaled by 0.749 (ratio of leg lengths)" in caplog.text
     assert "no joint is ever at its limit" in caplog.text
     assert "g1.npz: 16 frames at 30 Hz, 0.50 s, 29 degrees of freedom" in caplog.text
     clip, _ = load_single_clip("g1.npz", [g1])

@@ -101,7 +101,7 @@ def test_a_recognised_skeleton_in_other_axes_and_units(
         for name in ("usual", "other"):
             assert command.main([f"{name}.bvh", f"{name}.npz", "end_s=0.4"]) == 0
     assert f"usual.bvh: has the joints of mapping={rig}, which is used\n" in caplog.text
-    assert f"mapping={rig}, which is used but for its own up: " in caplog.text
+    assert f"mapping={rig}, which is used with other up: " in caplog.text
     (heights, way), (other_heights, other_way) = map(heights_and_way, ("usual.npz", "other.npz"))
     np.testing.assert_allclose(other_heights, heights, atol=2e-3)
     assert other_way == pytest.approx(way, abs=1e-3)
@@ -162,7 +162,7 @@ def test_who_lies_crawls_or_stands_on_the_hands_is_not_turned(
     write_bvh(Path("a.bvh"), clip, rig)
     with caplog.at_level("INFO"):
         assert command.main(["a.bvh", "a.npz"]) == 0
-    assert "but for its own" not in caplog.text
+    assert "with other" not in caplog.text
 
 
 def test_a_bvh_file_becomes_a_clip(write_bvh, caplog: pytest.LogCaptureFixture) -> None:

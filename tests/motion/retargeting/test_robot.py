@@ -197,9 +197,12 @@ def test_mistakes_in_a_mapping_are_one_line(tmp_path, g1_model) -> None:
         ({"bodies": None}, "has no bodies; guess_robot_mapping"),
         ({"bodies": bodies(tail="tail")}, r"unknown body 'tail'.*choices: head"),
         ({"bodies": bodies(left_lower_arm=None)}, "bodies lacks left_lower_arm"),
-        ({"bodies": bodies(left_hand={"body": "x", "rotation": 1})}, "no attitude of their own"),
+        (
+            {"bodies": bodies(left_hand={"body": "x", "rotation": 1})},
+            "source has rotations only of",
+        ),
         ({"bodies": bodies(left_hand="left_palm")}, r"body of the robot 'left_palm'.*choices"),
-        ({"bodies": bodies(left_hand="torso_link")}, "left_hand is 'torso_link', and so is torso"),
+        ({"bodies": bodies(left_hand="torso_link")}, "bodies.torso are both 'torso_link'"),
         ({"start_pose": "sit"}, r"unknown key of the robot 'sit'.*home"),
     ):
         with pytest.raises(ConfigError, match=message) as caught:
