@@ -94,8 +94,7 @@ _DEEPMIMIC = _Format(
 _FORMATS = {
     ".npz": _Format(lambda path, clip, _skeleton: save_npz(path, clip), "nothing"),
     ".npy": _Format(
-        lambda path, clip, _skeleton: save_poselib_npy(path, clip),
-        "digits beyond single precision",
+        lambda path, clip, _skeleton: save_poselib_npy(path, clip), "digits beyond single precision"
     ),
     ".txt": _DEEPMIMIC,
     ".json": _DEEPMIMIC,
@@ -113,30 +112,19 @@ _ROBOT_FORMATS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertSettings:
-    """Settings of the command."""
+    """Keys of the command; the module docstring describes them."""
 
     fps: float | None = setting(None, above=0)
-    """Frames per second of the output; None uses the input's."""
     start_s: float = setting(0.0, minimum=0)
-    """Start time in the input, s."""
     end_s: float | None = setting(None, above=0)
-    """End time in the input, s; None is its end."""
     num_dofs: int | None = setting(None, choices=SHIPPED_NUM_DOFS)
-    """The humanoid's number of DOFs; None selects it by the input's bodies, else 28."""
     mapping: str = setting("")
-    """A shipped mapping or a YAML file for a BVH file or a robot; '' matches by names."""
     robot: str = setting("")
-    """The robot's MJCF or URDF; '' writes a clip of a shipped humanoid."""
     file_fps: float | None = setting(None, above=0)
-    """Frames per second of a robot's table without a rate; None uses the default of its form."""
     quat_order: str | None = setting(None, choices=QUAT_ORDERS)
-    """Quaternion order of a robot's file; None uses the default of its form."""
     by_order: bool = setting(False)
-    """Whether the joints of a robot's file are matched by order instead of by name."""
     ground: bool = setting(False)
-    """Whether the whole clip is moved vertically until its lowest points are on the ground."""
     overwrite: bool = setting(False)
-    """Whether an existing output is replaced."""
 
 
 def convert(source: str, out: str, settings: ConvertSettings) -> Path:

@@ -292,34 +292,21 @@ _PATTERNS = {
 
 @dataclass(frozen=True, kw_only=True)
 class GaitSettings:
-    """Settings of the command."""
+    """Keys of the command; the module docstring describes them."""
 
     gait: str = setting("trot", choices=_PATTERNS)
-    """Order of the feet."""
     speed: float = setting(1.0, minimum=-10, maximum=10)
-    """Speed of the trunk along x, m/s."""
     frequency: float = setting(2.0, minimum=0.1, maximum=10)
-    """Strides per second."""
     duty_factor: float | None = setting(None, minimum=0.5, maximum=0.95)
-    """Share of a stride that a foot is on the ground; None uses the gait's default."""
     step_height: float = setting(0.06, minimum=0, maximum=1)
-    """Height of the feet in mid swing, m."""
     body_height: float | None = setting(None, above=0, maximum=5)
-    """Height of the trunk's origin, m; None puts the hips at 0.7 of the legs' length."""
     bounce: float = setting(0.0, minimum=0, maximum=0.5)
-    """Amplitude of the trunk's vertical motion, m."""
     knees: str = setting(KNEES[0], choices=KNEES)
-    """Side of the knees for legs that can bend to both sides."""
     seconds: float = setting(4.0, above=0, maximum=120)
-    """Length of the clip, rounded to a whole number of strides."""
     fps: float = setting(60.0, minimum=1, maximum=240)
-    """Frames per second."""
     feet: tuple[str, ...] = setting(())
-    """Names or patterns of the feet; () uses the bodies on the floor in the start pose."""
     start_rotation: tuple[float, ...] | None = setting(None, length=4)
-    """Quaternion xyzw of the trunk that makes the robot look along x; None uses the file's."""
     overwrite: bool = setting(False)
-    """Whether an existing output is replaced."""
 
 
 def make_gait(robot: PreparedRobot, settings: GaitSettings, name: str = "gait") -> JointClip:

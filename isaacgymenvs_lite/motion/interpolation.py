@@ -20,8 +20,6 @@ from isaacgymenvs_lite.motion.qpos import BodyPoses, dofs_of_clip, joint_rotatio
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
 
-INTERPOLATIONS = ("spline", "published")
-
 
 class MotionState(NamedTuple):
     """States of n samples, float32 on the library's device; K key bodies."""
@@ -53,15 +51,11 @@ class Frames:
     """
 
     def __init__(
-        self,
-        clips: Sequence[MotionClip],
-        skeleton: Skeleton,
-        key_ids: Sequence[int],
-        device: torch.device,
+        self, skeleton: Skeleton, key_ids: Sequence[int], device: torch.device, with_angles: bool
     ) -> None:
         self._skeleton, self._device = skeleton, device
         self._key_ids = torch.tensor(list(key_ids), dtype=torch.long, device=device)
-        self._with_angles = self._keeps_angles(clips)
+        self._with_angles = with_angles
         self._turned: list[int] = []  # joint groups stored as rotations
         self._hinges: list[int] = []  # joint groups stored as angles
         self._angles: list[int] = []  # the DOFs of `_hinges`
@@ -82,17 +76,6 @@ class Frames:
             shift + place if dof in self._angles else place for dof, place in enumerate(places)
         ]
         self._dof_columns = torch.tensor(self._columns, device=device)
-
-    def _keeps_angles(self, clips: Sequence[MotionClip]) -> bool:
-        raise NotImplementedError
-
-    def states(self, at: Moments) -> MotionState:
-        """Return the states at n moments."""
-        raise NotImplementedError
-
-    def body_pos(self, at: Moments) -> Tensor:
-        """Return the world positions (n, J, 3) m of all bodies at n moments."""
-        raise NotImplementedError
 
     def _joint_poses(self, clip: MotionClip) -> tuple[FloatArray, FloatArray]:
         """Return the angles (T, H) rad and the rotations (T, R, 4) xyzw of a clip's joints."""
@@ -126,13 +109,10 @@ class PoseSplines(Frames):
         key_ids: Sequence[int],
         device: torch.device,
     ) -> None:
-        super().__init__(clips, skeleton, key_ids, device)
+        super().__init__(skeleton, key_ids, device, with_angles=True)
         self._bodies = BodyPoses(skeleton)
         # (frames, 2, columns): values, and their slopes per frame.
         self._rows = self._tensor([self._rows_of(clip) for clip in clips])
-
-    def _keeps_angles(self, clips: Sequence[MotionClip]) -> bool:
-        return True
 
     def _rows_of(self, clip: MotionClip) -> FloatArray:
         """Return (T, 2, columns): root position, hinge angles and quaternions, and their slopes."""
@@ -227,7 +207,9 @@ class PublishedFrames(Frames):
         key_ids: Sequence[int],
         device: torch.device,
     ) -> None:
-        super().__init__(clips, skeleton, key_ids, device)
+        has_dofs = any(clip.dof_pos is not None for clip in clips)
+        with_angles = has_dofs or not skeleton.has_simple_joints
+        super().__init__(skeleton, key_ids, device, with_angles)
         self._num_positions = 1 + len(key_ids)
         frames, body_pos = [], []
         for clip in clips:
@@ -235,10 +217,6 @@ class PublishedFrames(Frames):
             body_pos.append(positions)
             frames.append(self._rows_of(clip, positions[:, [0, *key_ids]]))
         self._rows, self._body_pos = self._tensor(frames), self._tensor(body_pos)
-
-    def _keeps_angles(self, clips: Sequence[MotionClip]) -> bool:
-        has_dofs = any(clip.dof_pos is not None for clip in clips)
-        return has_dofs or not self._skeleton.has_simple_joints
 
     def _rows_of(self, clip: MotionClip, positions: FloatArray) -> FloatArray:
         """Return the frames (T, columns): positions, hinge angles, rotations, velocities.
@@ -296,7 +274,9 @@ class PublishedFrames(Frames):
         return torch.lerp(before, after, at.blend.view(-1, 1, 1))
 
 
-FRAMES: dict[str, type[Frames]] = dict(
-    zip(INTERPOLATIONS, (PoseSplines, PublishedFrames), strict=True)
-)
+FRAMES: dict[str, type[PoseSplines | PublishedFrames]] = {
+    "spline": PoseSplines,
+    "published": PublishedFrames,
+}
 """The interpolations by their names in `task.env.clipInterpolation`."""
+INTERPOLATIONS = tuple(FRAMES)

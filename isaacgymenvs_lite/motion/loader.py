@@ -16,11 +16,7 @@ from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError, listed, suggest
 from isaacgymenvs_lite.motion.clip import MotionClip, QuatOrder
 from isaacgymenvs_lite.motion.formats import deepmimic
-from isaacgymenvs_lite.motion.formats.deepmimic import (
-    PREFIX,
-    find_in_package,
-    is_package_name,
-)
+from isaacgymenvs_lite.motion.formats.deepmimic import PREFIX, find_in_package, is_package_name
 from isaacgymenvs_lite.motion.formats.files import read_json, reading
 from isaacgymenvs_lite.motion.formats.joint_csv import load_joint_csv
 from isaacgymenvs_lite.motion.formats.npz import load_npz

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.interpolation import FRAMES, Frames, Moments, MotionState
+from isaacgymenvs_lite.motion.interpolation import FRAMES, Moments, MotionState
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.plausibility import (
     bodies_on_ground,
@@ -96,9 +96,16 @@ class MotionLib:
         if ground:
             self._clips = [put_on_ground(clip, self.skeleton) for clip in self._clips]
         self.implausible = warn_of_implausible(self._clips, self.skeleton)
-        self._build_motion_table([weight for _, weight in clips_and_weights])
-        make: type[Frames] = FRAMES[interpolation]
-        self._frames = make(self._clips, self.skeleton, key_ids, self.device)
+        cumulative = np.cumsum([weight for _, weight in clips_and_weights], dtype=np.float64)
+        self._cumulative_weights = torch.from_numpy(cumulative / cumulative[-1]).to(self.device)
+        num_frames = np.array([clip.num_frames for clip in self._clips])
+        first_rows = np.cumsum(num_frames) - num_frames
+        lengths_s = [clip.length_s for clip in self._clips]
+        frame_times_s = [1.0 / clip.fps for clip in self._clips]
+        table = np.stack((first_rows, num_frames - 1, lengths_s, frame_times_s), axis=-1)
+        self._motions = torch.from_numpy(table).to(self.device)
+        self._lengths_s = self._motions[:, 2].float()
+        self._frames = FRAMES[interpolation](self._clips, self.skeleton, key_ids, self.device)
 
     def num_motions(self) -> int:
         """Return the number of clips."""
@@ -202,18 +209,6 @@ class MotionLib:
         row = start + first
         next_row = start + torch.minimum(first + 1.0, last)
         return Moments(row.long(), next_row.long(), blend.float(), dt.float())
-
-    def _build_motion_table(self, weights: Sequence[float]) -> None:
-        """Make the tensors per clip: weights, first row, last frame, length and frame time."""
-        cumulative = np.cumsum(np.asarray(weights, dtype=np.float64))
-        self._cumulative_weights = torch.from_numpy(cumulative / cumulative[-1]).to(self.device)
-        num_frames = np.array([clip.num_frames for clip in self._clips])
-        first_rows = np.cumsum(num_frames) - num_frames
-        lengths_s = [clip.length_s for clip in self._clips]
-        frame_times_s = [1.0 / clip.fps for clip in self._clips]
-        table = np.stack((first_rows, num_frames - 1, lengths_s, frame_times_s), axis=-1)
-        self._motions = torch.from_numpy(table).to(self.device)
-        self._lengths_s = self._motions[:, 2].float()
 
 
 def _without_copies(clip: MotionClip, repair: bool) -> MotionClip:

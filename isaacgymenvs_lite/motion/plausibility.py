@@ -81,7 +81,11 @@ class _Poses:
         for geom in geoms_that_touch(model):
             body = int(model.geom_bodyid[geom]) - root
             if 0 <= body < skeleton.num_bodies:
-                down = _down_in_geom(model.geom_quat[geom], rot[:, body])
+                x, y, z, w = rot[:, body]
+                zeros = np.zeros_like(x)
+                down = rotate_components((-x, -y, -z, w), (zeros, zeros, zeros - 1.0))
+                w, x, y, z = model.geom_quat[geom][:, None]
+                down = np.stack(rotate_components((-x, -y, -z, w), down), axis=-1)
                 low_m = height(body, model.geom_pos[geom]) - reach_down(model, geom, down)
                 lows_m[body] = np.minimum(low_m, lows_m.get(body, np.inf))
         if not lows_m:
@@ -106,15 +110,6 @@ class _Poses:
         return float(np.quantile(self.lowest_m, GROUND_QUANTILE))
 
 
-def _down_in_geom(geom_quat: FloatArray, body_rot: FloatArray) -> FloatArray:
-    """Return the world's -z axis (T, 3) in a geom's frame for body rotations (4, T) xyzw."""
-    x, y, z, w = body_rot
-    zeros = np.zeros_like(x)
-    in_body = rotate_components((-x, -y, -z, w), (zeros, zeros, zeros - 1.0))
-    w, x, y, z = geom_quat[:, None]
-    return np.stack(rotate_components((-x, -y, -z, w), in_body), axis=-1)
-
-
 def is_in_air(clip: MotionClip, skeleton: Skeleton) -> bool:
     """Return whether the lowest points of a clip are above the ground."""
     poses = _Poses.of(clip, skeleton)
@@ -137,7 +132,13 @@ def bodies_on_ground(clips: Sequence[MotionClip], skeleton: Skeleton) -> list[st
     is 3 cm for a human and in proportion for other sizes. All bodies are returned for rolls and
     crawls, whose centre of mass comes near the ground: their contacts are seldom exact.
     """
-    usual_m = _usual_mass_height_m(skeleton.model)
+    # The usual height of the centre of mass above the ground, with all joints at rest.
+    model = skeleton.model
+    qpos = model.qpos0.copy()
+    qpos[2] = start_height(model, qpos) - CLEARANCE
+    data = posed(model, qpos)
+    mujoco.mj_comPos(model, data)
+    usual_m = float(data.subtree_com[model.jnt_bodyid[0], 2])
     found: set[int] = set()
     for clip in clips:
         poses = _Poses.of(clip, skeleton)
@@ -150,15 +151,6 @@ def bodies_on_ground(clips: Sequence[MotionClip], skeleton: Skeleton) -> list[st
         rates = {body: float((low < touch_m).mean()) for body, low in poses.lows_m.items()}
         found.update(body for body, rate in rates.items() if rate >= _TOUCH_SHARE)
     return [skeleton.body_names[body] for body in sorted(found)]
-
-
-def _usual_mass_height_m(model: mujoco.MjModel) -> float:
-    """Return the height of the centre of mass above the lowest point with all joints at rest."""
-    qpos = model.qpos0.copy()
-    qpos[2] = start_height(model, qpos) - CLEARANCE
-    data = posed(model, qpos)
-    mujoco.mj_comPos(model, data)
-    return float(data.subtree_com[model.jnt_bodyid[0], 2])
 
 
 def implausible(clip: MotionClip, skeleton: Skeleton) -> list[str]:

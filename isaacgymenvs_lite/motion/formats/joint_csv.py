@@ -117,8 +117,7 @@ def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionCli
         names, units = _read_header(lines[0], path)
         # The humanoid with most of the named DOFs, then with fewest other DOFs.
         skeleton = max(
-            skeletons,
-            key=lambda body: (len(set(body.dof_names) & set(names)), -body.num_dofs),
+            skeletons, key=lambda body: (len(set(body.dof_names) & set(names)), -body.num_dofs)
         )
         known = (*_OWN, *skeleton.dof_names)
         others = [name for name in names if name not in known]

@@ -328,14 +328,11 @@ def recognise_skeleton(path: str | Path) -> SkeletonMapping:
         used = {source.joint for source in mapping.sources.values()}
         if set(names) >= marks | used:
             found = fitted(read_bvh(path, used), mapping)
-            own = {
-                f"up: {found.up}": found.up != mapping.up,
-                f"unit_m: {found.unit_m:g}": found.unit_m != mapping.unit_m,
-                "x and z of its joints": found.sources is not mapping.sources,
-            }
-            changes = ", ".join(change for change, is_own in own.items() if is_own)
-            but = f" with other {changes}" if changes else ""
-            _log.info("%s: has the joints of mapping=%s, which is used%s", path, name, but)
+            _log.info(
+                "%s: has the joints of mapping=%s, which is used with up: %s, unit_m: %g and %s",
+                *(path, name, found.up, found.unit_m),
+                "its x and z" if found.sources is mapping.sources else "x and z of the rest pose",
+            )
             return found
     joints = _guess_joints(names, parents)
     if not joints:

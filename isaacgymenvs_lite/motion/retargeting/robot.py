@@ -91,7 +91,13 @@ def robot_from_model(
     """
     _check(model, mapping)
     followers = Followers(model)
-    start = followers.placed(_start_pose(model, mapping.start_pose) if start is None else start)
+    if start is None:
+        name, keys = mapping.start_pose, [model.key(i).name for i in range(model.nkey)]
+        if name and name not in keys:
+            raise ConfigError(f"start_pose: {unknown('key of the robot', name, keys)}")
+        key = next((k for k in ((name,) if name else _START_POSES) if k in keys), None)
+        start = model.qpos0.copy() if key is None else model.key(key).qpos.copy()
+    start = followers.placed(start)
     found, turned = body_poses(model, start[None], [b.body for b in mapping.bodies.values()])
     places = dict(zip(mapping.bodies, found[0], strict=True))
     leg_m = leg_length({name: place[None] for name, place in places.items()})
@@ -153,23 +159,18 @@ def robot_problem(robot: Robot, targets: Targets, fps: float) -> IkProblem:
         goals[entry.body], weights[entry.body] = goal, (entry.position, rotation)
     first_pose = _first_pose(robot, goals)
     places, turns = body_poses(robot.model, first_pose[None], list(goals))
-    for i, body in enumerate(goals):
-        goals[body] = _led_in(places[0, i], turns[0, i], goals[body])
+    # The goals begin with `_LEAD_IN` steps from the first pose: without them the search may rotate
+    # an arm the long way round, to its limits.
+    share = np.arange(_LEAD_IN) / _LEAD_IN
+    for (body, goal), place, turn in zip(goals.items(), places[0], turns[0], strict=True):
+        first = rotations.xyzw_from_wxyz(torch.from_numpy(goal[:1, :4])).numpy()
+        way = (turn[None].repeat(_LEAD_IN, 0), first.repeat(_LEAD_IN, 0))
+        steps = torch.from_numpy(interpolate_rotations(*way, share))
+        between = place + share[:, None] * (goal[0, 4:] - place)
+        lead = np.concatenate((rotations.wxyz_from_xyzw(steps).numpy(), between), axis=1)
+        goals[body] = np.concatenate((lead, goal))
     limits = _limits(robot)
     return IkProblem(robot.model, fps, goals, weights, first_pose, robot.start, limits, _LEAD_IN)
-
-
-def _led_in(place: FloatArray, turn: FloatArray, goal: FloatArray) -> FloatArray:
-    """Return goals (N + T, 7) that start with N steps from a body's pose to the first of (T, 7).
-
-    Without these steps the search may rotate an arm the long way round, to its limits.
-    """
-    share = np.arange(_LEAD_IN) / _LEAD_IN
-    first = rotations.xyzw_from_wxyz(torch.from_numpy(goal[:1, :4])).numpy()
-    turns = interpolate_rotations(turn[None].repeat(_LEAD_IN, 0), first.repeat(_LEAD_IN, 0), share)
-    places = place + share[:, None] * (goal[0, 4:] - place)
-    wxyz = rotations.wxyz_from_xyzw(torch.from_numpy(turns)).numpy()
-    return np.concatenate((np.concatenate((wxyz, places), axis=1), goal))
 
 
 def _check(model: mujoco.MjModel, mapping: RobotMapping) -> None:
@@ -202,14 +203,6 @@ def _check(model: mujoco.MjModel, mapping: RobotMapping) -> None:
                 " bodies"
             )
         used[entry.body] = name
-
-
-def _start_pose(model: mujoco.MjModel, name: str) -> FloatArray:
-    keys = [model.key(i).name for i in range(model.nkey)]
-    if name and name not in keys:
-        raise ConfigError(f"start_pose: {unknown('key of the robot', name, keys)}")
-    choices = [choice for choice in ((name,) if name else _START_POSES) if choice in keys]
-    return model.key(choices[0]).qpos.copy() if choices else model.qpos0.copy()
 
 
 def _bends(
