@@ -30,7 +30,7 @@ _MAX_SPEED_M_S = 1_000.0
 _MAX_SPEED_RAD_S = 100_000.0
 MAX_JOINT_RAD = 1_000.0  # 160 turns of a wheel's hinge
 _UNIT_TOLERANCE = 1e-3  # of a stored quaternion's length
-# Clips with fewer repeated pairs of frames show a character at rest.
+# Fewer repeated pairs of frames are a character at rest.
 _MIN_REPEATED_PAIRS = 2
 # Array -> largest absolute value, unit.
 _LIMITS = {
@@ -70,8 +70,8 @@ class MotionClip:
         linear_velocity_w: (T, J, 3) m/s, world velocities of the bodies' origins.
         angular_velocity_w: (T, J, 3) rad/s, in the world frame.
         dof_pos: (T, D) rad, joint coordinates in the `Skeleton`'s order: rotation vectors of ball
-            joints and angles of hinges. None if the rotations of the bodies determine them, which
-            needs one joint per body and hinge angles within pi.
+            joints and angles of hinges. None if the bodies' rotations determine them: each body
+            then has one joint, and hinge angles are within pi.
     """
 
     name: str
@@ -274,7 +274,7 @@ def _not_unit(quaternions: FloatArray) -> tuple[tuple[int, ...], str] | None:
 
 
 def _check_size(name: str, key: str, largest: float, limit: float, unit: str) -> None:
-    """Raise a MotionFileError for a value beyond the limit, which may have another unit."""
+    """Raise a MotionFileError for a value beyond the limit."""
     if largest > limit:
         raise MotionFileError(
             f"{name}: {key} has {largest:.4g} {unit}, expected at most {limit:g} {unit}; check its"
@@ -340,7 +340,7 @@ class JointClip:
         return np.abs(np.diff(self.dof_pos.astype(np.float64), axis=0)) * self.fps
 
     def oddities(self, up_b: Sequence[float] = UP) -> list[str]:
-        """Describe values that suggest a wrong unit, frame rate or quaternion order, a line each.
+        """Return a line for each sign of a wrong unit, frame rate or quaternion order.
 
         `up_b` (3,) is the upward direction in the frame of an upright root.
         """

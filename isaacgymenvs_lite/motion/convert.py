@@ -160,7 +160,7 @@ def _clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]
         times = (settings.start_s, settings.end_s, settings.fps)
         return retarget_bvh(source, used, skeleton, *times), skeleton
     if settings.mapping:
-        raise ConfigError(f"mapping={settings.mapping}: only a .bvh file needs one, or robot=")
+        raise ConfigError(f"mapping={settings.mapping}: needs a .bvh file or robot=; leave it out")
     skeletons = [skeleton_for_num_dofs(settings.num_dofs)] if settings.num_dofs else ()
     return _part(*load_single_clip(source, skeletons), settings)
 
@@ -199,9 +199,7 @@ def _robots_clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Sk
         motion = load_bvh_source(source, of_skeleton, *times)
     else:
         if of_skeleton is not None:
-            raise ConfigError(
-                f"mapping={of_skeleton.name}: only a .bvh file needs one of this kind"
-            )
+            raise ConfigError(f"mapping={of_skeleton.name}: needs a .bvh file; leave it out")
         humanoids = [skeleton_for_num_dofs(number) for number in SHIPPED_NUM_DOFS]
         read = load_single_clip(source, [robot.skeleton, *humanoids], joint_file)
         clip, skeleton = _part(*read, settings)

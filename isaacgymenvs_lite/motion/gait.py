@@ -66,7 +66,7 @@ _LONGEST_STEP_RAD = 0.3
 _PULL = 0.1  # share of the way back to the posture per step, for legs with redundant hinges
 # The search for the first pose begins with these angles of each joint from the start pose.
 _FIRST_BENDS_RAD = (-1.0, 0.0, 1.0)
-# The knees decide between solutions whose distances to the start pose round to the same multiple.
+# Solutions with the same distance to the start pose, rounded to this step, differ by their knees.
 _ALIKE_RAD = 0.2
 _LOWEST_M = 1e-4  # tolerance of a foot's lowest points
 
@@ -103,7 +103,7 @@ def find_legs(robot: PreparedRobot) -> tuple[Leg, ...]:
         bodies = ", ".join(dict.fromkeys((*robot.contact_bodies, *robot.key_bodies)))
         raise ConfigError(
             f"has {len(by_contact)} legs of at least {_LEAST_HINGES} hinges, expected {NUM_LEGS}:"
-            f" a gait needs a quadruped; feet=[...] names its feet, sought among {bodies}"
+            f" a gait needs a quadruped; give feet=[...], its feet (found bodies: {bodies})"
         )
     legs = sorted((_leg(robot, foot) for foot in feet), key=lambda leg: -leg.hip[0])
     front, rear = (sorted(pair, key=lambda leg: -leg.hip[1]) for pair in (legs[:2], legs[2:]))
@@ -127,7 +127,7 @@ def _feet(model: mujoco.MjModel, names: Sequence[str]) -> list[int]:
 
 
 def _chain(model: mujoco.MjModel, foot: int) -> list[int]:
-    """Return the bodies between the trunk, which is excluded, and a foot, which is included."""
+    """Return the bodies from the trunk (excluded) to a foot (included)."""
     trunk = (model.body_weldid[1], 0)
     chain = reversed(ancestors(model, foot))
     return [body for body in chain if model.body_weldid[body] not in trunk]
@@ -274,19 +274,12 @@ _log = logging.getLogger(__name__)
 _NEUTRAL_SHARE = 0.7  # default height of the hips above the feet, as a share of the legs' length
 
 
-@dataclass(frozen=True)
-class _Pattern:
-    """A gait (Hildebrand, "Symmetrical gaits of horses", Science 150, 1965)."""
-
-    # Phases of touch-down: front left, front right, rear left, rear right.
-    touch_down: tuple[float, float, float, float]
-    duty_factor: float
-
-
+# Gait -> phases of touch-down (front left, front right, rear left, rear right), duty factor.
+# Source: Hildebrand, "Symmetrical gaits of horses", Science 150 (1965).
 _PATTERNS = {
-    "trot": _Pattern((0.0, 0.5, 0.5, 0.0), 0.5),
-    "walk": _Pattern((0.25, 0.75, 0.0, 0.5), 0.75),
-    "pace": _Pattern((0.0, 0.5, 0.0, 0.5), 0.5),
+    "trot": ((0.0, 0.5, 0.5, 0.0), 0.5),
+    "walk": ((0.25, 0.75, 0.0, 0.5), 0.75),
+    "pace": ((0.0, 0.5, 0.0, 0.5), 0.5),
 }
 
 
@@ -331,7 +324,7 @@ def make_gait(robot: PreparedRobot, settings: GaitSettings, name: str = "gait") 
     places = _foot_places(legs, settings, phases, period_s)
     standing = [(leg.hip[0], leg.neutral_y, leg.radius) for leg in legs]
     poses = [solver.first_pose(root[0], np.array(standing))]
-    # A stride that is not in the clip leads from standing into the gait.
+    # An additional first stride, which is not in the clip, leads from standing into the gait.
     lead_in = math.ceil(per_stride)
     for frame in (*range(lead_in), *range(len(phases))):
         poses.append(solver.next_pose(poses[-1], root[frame], places[frame]))
@@ -357,7 +350,7 @@ def _trunk(
         heights = [_NEUTRAL_SHARE * leg.length + leg.radius - leg.hip[2] for leg in legs]
         height = float(np.mean(heights))
     # Number of touch-downs in a stride; simultaneous touch-downs count once.
-    beats = len(set(_PATTERNS[settings.gait].touch_down))
+    beats = len(set(_PATTERNS[settings.gait][0]))
     root = np.zeros((len(phases), 7))
     root[:, 0] = settings.speed * period_s * phases
     root[:, 2] = height + settings.bounce * np.cos(2.0 * np.pi * beats * phases)
@@ -373,12 +366,12 @@ def _foot_places(
     A foot is below its hip in mid stance. Its swing starts and ends without velocity and
     acceleration.
     """
-    pattern = _PATTERNS[settings.gait]
-    duty = pattern.duty_factor if settings.duty_factor is None else settings.duty_factor
+    touch_downs, duty = _PATTERNS[settings.gait]
+    duty = duty if settings.duty_factor is None else settings.duty_factor
     stride_m = settings.speed * period_s
     places = np.zeros((len(phases), len(legs), 3))
-    for i, (leg, touch_down) in enumerate(zip(legs, pattern.touch_down, strict=True)):
-        # Rounding restores touch-downs that sums of floats miss.
+    for i, (leg, touch_down) in enumerate(zip(legs, touch_downs, strict=True)):
+        # Sums of floats miss a touch-down by a rounding error.
         since = np.round(phases - touch_down, 9)
         number = np.floor(since)
         swing = np.clip((since - number - duty) / (1.0 - duty), 0.0, 1.0)

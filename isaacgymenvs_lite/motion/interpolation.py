@@ -66,12 +66,12 @@ class Frames:
                 self._hinges.append(group)
                 self._angles.append(start)
                 continue
-            # A hinge that is stored as a rotation is about y: the second component.
+            # Hinges that are stored as rotations have the axis y, the second component.
             components = range(3) if end - start == 3 else (1,)
             places[start:end] = [3 * len(self._turned) + i for i in components]
             self._turned.append(group)
         shift = 3 * len(self._turned)
-        # The column of each DOF in an array of all rotation vectors, then all angles.
+        # Each DOF's column in an array that holds all rotation vectors, then all angles.
         self._columns = [
             shift + place if dof in self._angles else place for dof, place in enumerate(places)
         ]
@@ -95,11 +95,10 @@ class Frames:
 class PoseSplines(Frames):
     """Cubic splines through the poses; velocities are the splines' derivatives.
 
-    There is a spline for each coordinate of the root position, each hinge angle, and each component
-    of the quaternions of the root and the ball joints; the quaternions are then normalised. The
-    splines end "not-a-knot", without an assumed velocity. Forward kinematics of the robot's model
-    places the bodies. The pose is extrapolated before the start of a clip at the first velocity;
-    the last state is kept after the end.
+    The splines interpolate the root position, the hinge angles, and the quaternions of the root and
+    the ball joints, which are then normalised. Their end condition is "not-a-knot", which assumes
+    no velocity. Forward kinematics of the robot's model places the bodies. The pose is extrapolated
+    at the first velocity before the start of a clip. The last state is kept after the end.
     """
 
     def __init__(
@@ -120,7 +119,7 @@ class PoseSplines(Frames):
 
         angles, turns = self._joint_poses(clip)
         turns = np.concatenate((clip.local_rotation[:, :1], turns), axis=1).astype(np.float64)
-        # A quaternion and its negative are the same rotation; choose signs without jumps.
+        # A quaternion and its negative are the same rotation; the signs must not jump.
         is_other_side = (turns[1:] * turns[:-1]).sum(axis=-1) < 0.0
         turns[1:] *= np.where(np.cumsum(is_other_side, axis=0) % 2 == 1, -1.0, 1.0)[..., None]
         parts = (clip.root_translation, angles, turns.reshape(clip.num_frames, -1))
@@ -137,7 +136,7 @@ class PoseSplines(Frames):
         turns, turn_rates = turns.unflatten(1, (-1, 4)), turn_rates.unflatten(1, (-1, 4))
         length = turns.norm(dim=-1, keepdim=True)
         turns, turn_rates = turns / length, turn_rates / length
-        # d/dt q = 1/2 w q with the angular velocity w in the world frame, 1/2 q w in the body's.
+        # dq/dt is 1/2 w q for the angular velocity w in the world frame, 1/2 q w in the body frame.
         inverse = rotations.quat_conjugate(turns)
         root_ang_vel = 2.0 * rotations.quat_mul(turn_rates[:, 0], inverse[:, 0])[:, :3]
         joint_rates = 2.0 * rotations.quat_mul(inverse[:, 1:], turn_rates[:, 1:])[..., :3]
@@ -192,12 +191,13 @@ class PoseSplines(Frames):
 class PublishedFrames(Frames):
     """The interpolation of the AMP and ASE motion libraries.
 
-    World positions are interpolated linearly and rotations by slerp. Both are extrapolated from the
-    first two frames before the start of a clip. Velocities are those of the frame at or before the
-    time: the stored ones for the root, differences to the next frame for the joints.
+    World positions are interpolated linearly and rotations by slerp. Positions and rotations are
+    extrapolated from the first two frames before the start of a clip. Velocities belong to the
+    frame at or before the time. The root has its stored velocities; joint velocities are
+    differences to the next frame.
 
-    Ball joints are stored as rotations. Hinges of the shipped humanoids are rotations, too, as in
-    the original; hinges of other skeletons, or of clips with `dof_pos`, are angles.
+    Ball joints and hinges of the shipped humanoids are stored as rotations, as in the original.
+    Hinges of other skeletons, or of clips with `dof_pos`, are stored as angles.
     """
 
     def __init__(

@@ -54,9 +54,9 @@ RETARGET_HINT = "retarget it with isaacgymenvs-lite convert IN OUT.npz robot=FIL
 _OFFSET_TOLERANCE_M = 0.01
 # A knee or elbow that rotates this far (0.6 deg) out of its axis loses visible motion.
 _HINGE_TOLERANCE_RAD = 0.01
-# Resampling makes joint coordinates and poses differ by less than this.
+# Interpolation makes joint coordinates and poses differ by less than this.
 _DOF_TOLERANCE_RAD = 0.05
-# People stay below these values; clips in centimetres or with missing frames exceed them.
+# Motion of people stays below these values; clips in centimetres exceed them.
 _USUAL_PLACE_M, _USUAL_SPEED_M_S, _USUAL_SPEED_RAD_S = 1_000.0, 60.0, 300.0
 _DATASET_SUFFIXES = (".yaml", ".yml")
 # The suffixes that are appended to a name without suffix, in this order.
@@ -107,7 +107,7 @@ def _clips_in(folder: Path) -> list[str]:
 def load_clips(
     motion_file: str | Path, skeleton: Skeleton | None = None
 ) -> list[tuple[MotionClip, float]]:
-    """Read a clip, or all clips of a data set, each with its weight >= 0.
+    """Read a clip or all clips of a data set; return each clip with its weight (at least 0).
 
     Args:
         motion_file: a path (absolute or relative to the working directory), the name of a shipped
@@ -115,8 +115,8 @@ def load_clips(
             `.npy` and `.json` (poselib), `.txt` and `.json` (DeepMimic), `.csv` (joint angles), and
             robots' joint coordinates (`formats.robot_clip`). A `.pkl` or `.npy` of a robot may hold
             several motions, which get equal weights; `FILE:MOTION` selects one.
-        skeleton: the humanoid, by default the one with 28 degrees of freedom. The bodies of the
-            clips are reordered to match it.
+        skeleton: the clips' skeleton, by default the humanoid with 28 degrees of freedom. The
+            bodies of the clips are reordered to match it.
 
     Raises:
         MotionFileError: a file is missing or not valid, or belongs to another humanoid.
@@ -219,8 +219,8 @@ def _load(
         return [(clip, skeletons[0], 1.0 / len(clips)) for clip in clips]
     if joint_file != _AS_IN_THE_FILE:
         raise MotionFileError(
-            f"{path}: is no robot's file of joint coordinates, which file_fps=, quat_order= and"
-            " by_order= need; leave them out"
+            f"{path}: holds no joint coordinates of a robot; leave out file_fps=, quat_order= and"
+            " by_order="
         )
     readers: dict[str, Callable[[Path], MotionClip]] = {
         ".npz": load_npz,
@@ -427,8 +427,8 @@ def _warn_of_hinge_violation(clip: MotionClip, skeleton: Skeleton) -> None:
     if not groups:
         return
     hinges = [skeleton.dof_body_ids[group] for group in groups]
-    # The quaternion's vector part across the axis is the sine of half the angle between the axis
-    # and the rotated axis.
+    # The part of the quaternion's vector across the axis has the length sin(angle / 2), where the
+    # angle is between the axis and the rotated axis.
     off_axis = np.linalg.norm(np.cross(turns[:, hinges, :3], skeleton.joint_axes[groups]), axis=-1)
     frame, hinge = (int(i) for i in np.unravel_index(off_axis.argmax(), off_axis.shape))
     angle_rad = 2.0 * math.asin(min(float(off_axis[frame, hinge]), 1.0))

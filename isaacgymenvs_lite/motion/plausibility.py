@@ -32,10 +32,11 @@ from isaacgymenvs_lite.utils.rotations import rotate_components
 _log = logging.getLogger(__name__)
 
 GROUND_QUANTILE = 0.05
-"""The ground is at this quantile of the frames' lowest points: a single frame may sink a toe."""
+"""The ground's height is this quantile of the frames' lowest points, which ignores outliers."""
 _DEEP_M, _HIGH_M = 0.03, 0.03
 _IN_AIR_M = 0.1  # recorded walks have feet 8 cm above the ground
-# Contact: share of the centre of mass' usual height (3 cm for a human); share of the frames.
+# A body in contact is lower than this share of the centre of mass' usual height (3 cm for a human)
+# in at least this share of the frames.
 _TOUCH, _TOUCH_SHARE = 0.033, 0.02
 # A body rolls or lies if its centre of mass is below this share of the usual height.
 _LOW_MASS = 0.45
@@ -117,7 +118,7 @@ def is_in_air(clip: MotionClip, skeleton: Skeleton) -> bool:
 
 
 def put_on_ground(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
-    """Return the clip, moved vertically as a whole so that its lowest points are on the ground."""
+    """Return the clip, moved vertically as a whole until its lowest points are on the ground."""
     poses = _Poses.of(clip, skeleton)
     if poses is None:
         return clip
@@ -128,9 +129,10 @@ def put_on_ground(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
 def bodies_on_ground(clips: Sequence[MotionClip], skeleton: Skeleton) -> list[str]:
     """Return the names of the bodies that touch the ground in clips, in the skeleton's order.
 
-    A body touches the ground if its lowest point is near it in at least 2% of a clip's frames. Near
-    is 3 cm for a human and in proportion for other sizes. All bodies are returned for rolls and
-    crawls, whose centre of mass comes near the ground: their contacts are seldom exact.
+    A body touches the ground if its lowest point is near the ground in at least 2% of a clip's
+    frames. The limit is 3 cm for a human and proportional to the size of other robots. The result
+    is all bodies if the centre of mass comes near the ground, because the contacts of rolls and
+    crawls are seldom exact.
     """
     # The usual height of the centre of mass above the ground, with all joints at rest.
     model = skeleton.model
@@ -188,7 +190,7 @@ def _warn_once(lines: tuple[str, ...]) -> None:
 
 
 def _odd_flight(poses: _Poses) -> str:
-    """Describe the flight that differs most from a free fall; "" if none differs much."""
+    """Describe the flight that differs most from a free fall, or return ""."""
     is_in_air = poses.lowest_m > poses.ground_m + _IN_AIR_M
     ends = np.flatnonzero(np.diff(is_in_air, prepend=False, append=False)).reshape(-1, 2)
     least = max(_FLIGHT_FRAMES, int(np.ceil(_FLIGHT_S * poses.fps)) + 1)
@@ -236,7 +238,7 @@ def _beyond_limits(clip: MotionClip, skeleton: Skeleton) -> str:
 
 
 def _ends_in_air(poses: _Poses) -> str:
-    """Describe a start or end in the air, which only cycles such as runs may have; "" if none."""
+    """Describe a start or end in the air, or return ""; cycles, for example runs, may have them."""
     difference_m = np.linalg.norm(poses.body_pos[0] - poses.body_pos[-1], axis=-1)
     if difference_m.mean() < _CLOSED_M:
         return ""

@@ -1,8 +1,8 @@
 """Plots a clip: isaacgymenvs-lite plot CLIP out=FILE.png.
 
-The picture shows over time the joint angles in rad (the length of the rotation vector for a ball
-joint), the height of the root in m, and when each foot is on the ground. A clip of a robot needs
-the robot's file:
+The picture shows three graphs over time: the joint angles (rad; the length of the rotation vector
+for a ball joint), the height of the root (m), and the contacts of the feet with the ground. A clip
+of a robot needs the robot's file:
 
     isaacgymenvs-lite plot g1_walk robot=mjcf/g1.xml out=walk.png
 """
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 # A foot below this height over its lowest position, and slower than this, is on the ground.
 _CONTACT_HEIGHT_M, _CONTACT_SPEED = 0.05, 0.4
-# Inches of figure height per joint: the legend stays inside the axes.
+# The figure needs this height in inches for each joint of the legend.
 _LEGEND_LINE = 0.36
 
 

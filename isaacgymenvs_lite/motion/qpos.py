@@ -267,7 +267,7 @@ def _hinge_angle(skeleton: Skeleton, group: int, vectors: Tensor) -> Tensor:
 
 
 def _set_along_axis(vectors: Tensor, axis: npt.NDArray[np.float64], lengths: Tensor) -> None:
-    """Set zero vectors (T, 3 or 4) to lengths (T,) along an axis."""
+    """Set vectors (T, 3 or 4), which are zero, to lengths (T,) along an axis (3,)."""
     for i in np.flatnonzero(axis):
         vectors[:, int(i)] = float(axis[i]) * lengths
 

@@ -4,7 +4,7 @@
     isaacgymenvs-lite robot /robots/g1.urdf out=start.png
 
 FILE is an MJCF or URDF: an absolute path, a path relative to the working directory, or a name in
-assets/. The command reads it as task=RobotAMP does and does not change it. The picture shows the
+assets/. The command reads it like task=RobotAMP. The picture shows the
 start pose from the right and from the front. It needs EGL or OSMesa, which render without a screen.
 """
 

@@ -76,8 +76,8 @@ def find_in_package(motion_file: str) -> list[PackageClip]:
     """Return the clip, or all clips of the data set, with the name `deepmimic:<name>`.
 
     `walk` is short for `humanoid3d_walk`; `walker/turn_left0` is a clip of the folder walker. The
-    data set `locomotion` holds walking, turning and running, `all` every clip. All kinds of
-    movement have equal weights, which their clips share; a clip of unknown kind is its own kind.
+    data set `locomotion` holds walking, turning and running; `all` holds every clip. Each kind of
+    movement has the same weight, and its clips share it; a clip of unknown kind is its own kind.
 
     Raises:
         MotionFileError: the package is not installed, or has no clip or data set of this name.
@@ -142,7 +142,7 @@ BALL_COLUMNS = {
 }
 HINGE_COLUMNS = {"right_shin": 20, "right_lower_arm": 29, "left_shin": 34, "left_lower_arm": 43}
 MOVED_BODIES = (*BALL_COLUMNS, *HINGE_COLUMNS)
-# Durations that differ by less than this share of the median are rounding.
+# Differences of durations below this share of the median are rounding.
 _DURATION_TOLERANCE = 1e-3
 # The lengths of published quaternions differ from 1 by up to 0.42 (in kick).
 _LENGTH_TOLERANCE = 0.5
@@ -188,7 +188,7 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
         clip = MotionClip.from_poses(name, fps, *tree, local, lifted)
         if lifted is root or not is_in_air(clip, skeleton):
             return clip
-        # A crawl's toe below the ground has lifted the hands and knees off the ground.
+        # A crawl with a toe below the ground is lifted until hands and knees are in the air.
         _log.info("%s: lowered to the ground, because the lifted clip was in the air", name)
         return put_on_ground(clip, skeleton)
 
@@ -226,10 +226,9 @@ def check_columns(data: dict[str, Any], name: str) -> None:
     widths = {len(row) for row in rows if isinstance(row, list)} if isinstance(rows, list) else ()
     if len(widths) == 1 and NUM_COLUMNS not in widths:
         raise MotionFileError(
-            f"{name}: its 'Frames' have {widths.pop()} columns, expected {NUM_COLUMNS}, DeepMimic's"
-            " humanoid; write a robot's frames as a .csv without header: root position (3, m), root"
-            " quaternion (4, xyzw), joints (rad) in the order of its MJCF; then convert it with"
-            " robot=FILE"
+            f"{name}: its 'Frames' have {widths.pop()} columns, expected the {NUM_COLUMNS} columns"
+            " of DeepMimic's humanoid; write another robot's frames as a .csv (root position in m,"
+            " root quaternion xyzw, joints in rad) and convert it with robot=FILE"
         )
 
 

@@ -19,7 +19,7 @@ from isaacgymenvs_lite.utils import files
 def reading(path: str | Path, kind: str) -> Iterator[None]:
     """Convert any exception of a reader into a MotionFileError that names the file and its `kind`.
 
-    numpy's overflow warnings are off; `validate` refuses infinite values.
+    It also silences numpy's overflow warnings, because `validate` refuses infinite values.
     """
     try:
         with np.errstate(all="ignore"):

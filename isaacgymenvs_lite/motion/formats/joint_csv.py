@@ -115,7 +115,7 @@ def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionCli
     with reading(path, "table of joint angles"):
         lines, fps = _read_lines(path)
         names, units = _read_header(lines[0], path)
-        # The humanoid with most of the named DOFs, then with fewest other DOFs.
+        # The humanoid that has most of the named DOFs and, among equals, fewest other DOFs.
         skeleton = max(
             skeletons, key=lambda body: (len(set(body.dof_names) & set(names)), -body.num_dofs)
         )
@@ -143,7 +143,7 @@ def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionCli
 
 
 def is_robot_csv(path: str | Path) -> bool:
-    """Return whether a table is a robot's, with mostly other joints than the humanoids'."""
+    """Return whether a table has no header, or mostly joints that no shipped humanoid has."""
     header = _read_lines(path)[0][0]
     if _is_number(header[0]):
         return True

@@ -23,7 +23,7 @@ _OPTIONAL_KEYS = ("dof_pos",)
 _NEEDED_KEYS = ("fps", "body_names", "parent_indices", *_FLOAT_KEYS)
 _VELOCITY_KEYS = ("linear_velocity_w", "angular_velocity_w")
 _KNOWN_KEYS = ("version", *_NEEDED_KEYS, *_VELOCITY_KEYS, *_OPTIONAL_KEYS)
-_EXPECTED = ".npz archive of plain arrays, as motion.formats.npz.save_npz writes it,"
+_EXPECTED = ".npz archive of plain arrays (see motion.formats.npz.save_npz)"
 
 
 def save_npz(path: str | Path, clip: MotionClip) -> Path:

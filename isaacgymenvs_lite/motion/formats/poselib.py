@@ -88,7 +88,7 @@ def _array(data: Mapping[str, Any], key: str, name: str) -> npt.NDArray[Any]:
     array, cast_to = np.asarray(stored), np.dtype(str(_item(item, "context", name)["dtype"]))
     if array.dtype.kind not in "fiu" or cast_to.kind not in "fiu":
         raise MotionFileError(
-            f"{name}: {key} holds {array.dtype} to be read as {cast_to}, expected numbers"
+            f"{name}: {key} holds {array.dtype} and declares {cast_to}, expected numbers"
         )
     return array.astype(cast_to)
 

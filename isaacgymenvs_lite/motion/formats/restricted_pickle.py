@@ -1,7 +1,7 @@
 """Reads pickled dictionaries of clips (`.npy`, `.pkl`) without running code from the file.
 
-A pickle may call any function by its name. This module replaces the names that occur in clips with
-its own functions and classes and refuses all others. numpy's own classes are replaced, too, because
+A pickle may call any function by its name. This module maps the names that occur in clips to its
+own functions and classes, and refuses all other names. numpy's own classes are replaced because
 they trust the memory layout that the file describes. A joblib file, also a compressed one, is a
 pickle in which the bytes of each array follow its description.
 """

@@ -70,14 +70,15 @@ _KEYS = (
     *(_BODY_NAMES, _FRAMES, _FPS, "version"),
 )
 _FORMS = (
-    "fps, root_pos, root_rot, dof_pos (GMR), fps, root_trans_offset, root_rot, dof (PHC), fps, "
-    "frames (MimicKit), fps, joint_pos, body_pos_w, body_quat_w (mjlab) or fps, dof_positions, "
-    "body_positions, body_rotations (Isaac Lab), or such dictionaries by the names of motions"
+    "fps and: root_pos, root_rot, dof_pos (GMR); root_trans_offset, root_rot, dof (PHC); frames "
+    "(MimicKit); joint_pos, body_pos_w, body_quat_w (mjlab); or dof_positions, body_positions, "
+    "body_rotations (Isaac Lab); or a dictionary of these by motion"
 )
 # Distances in single precision, up to 100 m from the origin, are equal within this tolerance.
 _SAME_DISTANCE_M = 1e-3
-# Bodies nearer to the root than this do not show the root's rotation; number of compared frames.
-_MIN_ARM_M, _COMPARED_FRAMES = 0.01, 256
+# Bodies nearer to the root than this do not show the root's rotation.
+_MIN_ARM_M = 0.01
+_COMPARED_FRAMES = 256
 
 
 def looks_like_joint_clip(path: str | Path) -> bool:
@@ -294,7 +295,7 @@ def _quat_order(body_pos_w: FloatArray, body_quat_w: FloatArray) -> QuatOrder:
     """Return the order of body quaternions (T, B, 4), deduced from body positions (T, B, 3) m.
 
     With the right order, a body whose joint is at its origin keeps its position in the root's
-    frame. The result is wxyz if both orders fit, or none.
+    frame. The result is wxyz if the bodies do not decide.
     """
     sample = slice(None, None, 1 + len(body_pos_w) // _COMPARED_FRAMES)
     arms_w = body_pos_w[sample, 1:] - body_pos_w[sample, :1]

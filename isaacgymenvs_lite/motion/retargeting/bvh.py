@@ -1,8 +1,8 @@
 """Reads motion capture in the BVH format with the library pybvh.
 
 pybvh reads position channels only for ROOT. Many programs write them for all joints, or move the
-hips below a fixed ROOT; `_split_positions` removes these channels from the text. Positions of the
-joints above the body move the root. Positions of other joints must be zero, or constant offsets.
+hips below a fixed ROOT; `_split_positions` removes these channels from the text. Positions of ROOT
+and the joints down to the hips move the clip's root. Other joints must have constant positions.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class BvhMotion:
 
 @dataclass(frozen=True)
 class _Joint:
-    """A joint: its parent's id, the index of its CHANNELS line (-1: none), columns by channel."""
+    """A joint: parent's id, index of the CHANNELS line (-1: none), columns by channel."""
 
     name: str
     parent: int
@@ -88,8 +88,8 @@ def bvh_hierarchy(path: str | Path) -> tuple[list[str], list[int]]:
 def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
     """Read a BVH file whose joints have three rotation channels or none, in any order.
 
-    The last joint that is above all `joints`, or one of them, becomes the root; it gets the motion
-    of the joints above it. The root is ROOT if `joints` is empty.
+    The last common joint of the chains to all `joints` becomes the root and gets the motion of the
+    joints above it. The root is ROOT if `joints` is empty.
     """
     pybvh = import_package("pybvh", "reading BVH files")
     with reading(path, "BVH file"):

@@ -51,14 +51,16 @@ _FRAMES = [(x, z) for x, z in itertools.product(AXES, AXES) if x[1] != z[1]]
 _SHORTEST_LEG_M, _LONGEST_LEG_M, _USUAL_LEG_M = 0.45, 1.4, 0.85
 _UNITS_M = (1.0, 0.01, 0.001, 0.0254, 0.056444, 0.1, 0.3048)  # units of BVH files
 _MAX_FRAMES = 1000
-# Least cosines between an upright skeleton and an axis; between trunk and legs at rest; between a
-# joint's axis and its body's; the same for a foot's up axis, which tilts in crawls and dances.
-_STANDS, _STRAIGHT, _ALIGNED, _FOOT_UP = 0.7, 0.8, 0.3, -0.3
-# Knees that bend backward by this share of a leg's length show exchanged sides.
-_BACKWARD = 0.03
-# Heights in leg lengths: the lowest joint; the bonus for the mapping's up axis; the largest
-# deviation for an axis that neither the mapping nor the pose suggests.
-_LOWEST_JOINT, _PREFERRED, _GROUNDED = 0.1, 0.15, 0.12
+# Least cosines of angles:
+_STANDS = 0.7  # between an upright skeleton and an axis
+_STRAIGHT = 0.8  # between trunk and legs in a rest pose
+_ALIGNED = 0.3  # between a joint's axis and its body's
+_FOOT_UP = -0.3  # between the up axes of an ankle and a foot, which tilts in crawls and dances
+# Lengths relative to a leg:
+_BACKWARD = 0.03  # knees that bend backward farther belong to the other leg
+_LOWEST_JOINT = 0.1  # height of the lowest joint
+_PREFERRED = 0.15  # advantage of the mapping's up axis
+_GROUNDED = 0.12  # largest deviation for an axis that neither the mapping nor the pose suggests
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +245,7 @@ def _sources_at_rest(motion: BvhMotion, mapping: SkeletonMapping) -> dict[str, B
 
 
 def _unit_m(skeleton: _Skeleton, mapped: float) -> float | None:
-    """Return the unit that gives the legs a human length: the mapping's, a usual one, or None."""
+    """Return the mapping's unit, or a usual unit, that gives the legs a human length; else None."""
     leg = leg_length(skeleton.places)
     units = [u for u in (mapped, *_UNITS_M) if _SHORTEST_LEG_M <= leg * u <= _LONGEST_LEG_M]
     if mapped in units:
@@ -357,9 +359,9 @@ def recognise_skeleton(path: str | Path) -> SkeletonMapping:
 def _guess_joints(names: Sequence[str], parents: Sequence[int]) -> dict[str, str]:
     """Return the joint of each body by the names of feet, hands and head, or {} if one is missing.
 
-    A limb consists of a foot or hand and the two joints above it, without twist helpers. Pelvis and
-    torso are the last joints above both legs and both arms. Ankles and wrists precede feet and
-    hands, which name toes and fingers in a skeleton with both.
+    A limb consists of a foot or hand and the two joints above it, without twist helpers. The pelvis
+    is the last joint above both legs, the torso the last joint above both arms. Ankles and wrists
+    have precedence: joints named foot and hand are then toes and fingers.
     """
     found: dict[str, int] = {}
     for side in SIDES:

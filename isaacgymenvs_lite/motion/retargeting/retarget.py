@@ -44,8 +44,8 @@ _ON_GROUND_M = 0.01  # a point of a sole below this height should not move
 _AT_LIMIT_RAD = np.radians(0.1)
 # Number of corrections of the feet's goals by the soles' errors.
 _CORRECTIONS = 2
-# The first frame is a rest pose if its rotation to the second exceeds this angle and this multiple
-# of the median.
+# The first frame is a rest pose if its rotation to the second frame exceeds this angle, and the
+# median rotation between frames by this factor.
 _JUMP_DEG, _JUMP_RATIO = 20.0, 5.0
 
 
@@ -59,7 +59,7 @@ class RetargetReport:
     deepest_m: float  # largest depth of a sole's point below the ground, at least 0
     # Median and largest horizontal speed of the soles' points in contact; None without contact.
     slide_m_s: tuple[float, float] | None
-    # Share of the frames at its limit, and name, of the joint with the largest share; None if 0.
+    # (share of the frames, name) of the joint that is most often at its limit; None if no joint is.
     limited: tuple[float, str] | None
     fastest_rad_s: float  # the largest speed of a joint
 

@@ -71,7 +71,7 @@ class Robot:
         return self.padded(places)
 
     def padded(self, of_feet: Sequence[npt.NDArray[Any]]) -> npt.NDArray[Any]:
-        """Stack values (T, K, ...) of both soles' points to (T, 2, K, ...).
+        """Stack values (T, K, ...) of both soles' points into one array (T, 2, K, ...).
 
         The foot with fewer points repeats its last point.
         """
@@ -208,9 +208,9 @@ def _check(model: mujoco.MjModel, mapping: RobotMapping) -> None:
 def _bends(
     model: mujoco.MjModel, mapping: RobotMapping, start: FloatArray
 ) -> dict[int, tuple[float, float]]:
-    """Return the hinges that bend limbs (`find_bend`) and the larger of their ranges, in rad.
+    """Return the hinges that bend limbs (`find_bend`), with the ranges in which they stay, in rad.
 
-    The angle of the straight limb divides the range of a hinge in two.
+    A range is the larger part of the hinge's range on one side of the straight limb.
     """
     bends = {}
     for side in SIDES:

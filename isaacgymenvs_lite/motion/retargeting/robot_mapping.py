@@ -288,8 +288,8 @@ def guess_robot_mapping(
     if missing:
         raise ConfigError(
             f"cannot find {', '.join(missing)} of the robot by the names of its bodies (matched "
-            f"{matched}); write a mapping file with a line for each under 'bodies:', such as "
-            f"'left_foot: <body>'; its bodies: {', '.join(names.values())}"
+            f"{matched}); write a mapping file with a line for each under 'bodies:', for "
+            f"example 'left_foot: <body>'; its bodies: {', '.join(names.values())}"
         )
     bodies = {name: _robot_body(name, names[body], "guessed") for name, body in found.items()}
     return RobotMapping(f"guessed by {how}", bodies), f"bodies by {how}: {matched}"
@@ -298,9 +298,9 @@ def guess_robot_mapping(
 def _plausible(model: mujoco.MjModel, found: Mapping[str, int]) -> dict[str, int]:
     """Return the matches without contradictions, parents first.
 
-    Dropped are second matches of a body, arms without their parents, and links of another limb than
-    their parents, for example a quadruped's hind feet. The link that carries a foot replaces a foot
-    without geoms.
+    Second matches of a body, arms without their parents, and links that are not below their parents
+    (for example a quadruped's hind feet) are dropped. A foot without geoms is replaced by the link
+    that carries it.
     """
     kept: dict[str, int] = {}
     for name, body in found.items():
@@ -321,9 +321,13 @@ def _plausible(model: mujoco.MjModel, found: Mapping[str, int]) -> dict[str, int
 
 def _guess(model: mujoco.MjModel, names: Mapping[int, str], name: str) -> int | None:
     side, _, part = name.partition("_") if name.startswith(SIDES) else ("", "", name)
+    joints = {
+        i: " ".join(model.joint(j).name for j in np.flatnonzero(model.jnt_bodyid == i) if j > 0)
+        for i in names
+    }
     for pattern in _WORDS[part]:
-        for of in (lambda i: names[i], lambda i: _joint_names(model, i)):
-            bodies = [i for i in names if names_body(of(i), pattern, side)]
+        for texts in (names, joints):
+            bodies = [i for i in names if names_body(texts[i], pattern, side)]
             if bodies:
                 return _of_chain(model, bodies, part)
     return None
@@ -344,13 +348,8 @@ def names_body(text: str, pattern: str, side: str) -> bool:
     return sides == ({side} if side else set())
 
 
-def _joint_names(model: mujoco.MjModel, body: int) -> str:
-    joints = np.flatnonzero(model.jnt_bodyid == body)
-    return " ".join(model.joint(i).name for i in joints if i > 0)
-
-
 def _of_chain(model: mujoco.MjModel, bodies: Sequence[int], part: str) -> int:
-    """Choose among links with the same name, for example of hip pitch, roll and yaw.
+    """Choose one of several links that match the same part, for example hip pitch, roll and yaw.
 
     A thigh or upper arm is the last link near the first link. A foot, hand or torso is the last
     link, other parts are the first link.

@@ -71,7 +71,7 @@ class IkProblem:
     goals: Mapping[str, FloatArray]  # (T, 7) by body: quaternion wxyz and position in m
     weights: Mapping[str, tuple[float, float]]  # by body: of position (1/m) and rotation (1/rad)
     first_pose: FloatArray  # (nq,), the start of the first frame's search
-    posture: FloatArray  # (nq,), the pose that the goals leave open
+    posture: FloatArray  # (nq,), the preferred pose where the goals leave a choice
     limits: JointLimits  # limits of the joints
     lead_in: int = 0  # number of first frames that guide the search and are not returned
 

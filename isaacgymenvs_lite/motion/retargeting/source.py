@@ -102,7 +102,7 @@ _ENDS = tuple(itertools.product((-1.0, 1.0), repeat=3))
 
 @dataclass(frozen=True, eq=False)
 class Sole:
-    """The parts of a foot that can touch the ground: balls, with radius 0 for corners."""
+    """The balls of a foot that can touch the ground; corners are balls of radius 0."""
 
     points: FloatArray  # (K, 3) m, centres relative to the foot, in the upright figure's axes
     radii: FloatArray  # (K,) m
@@ -175,8 +175,9 @@ def find_sole(
     """Return the balls of a robot's sole: centres (K, 3) m relative to the foot, and radii (K,) m.
 
     The centres are in world axes in the pose `start` (nq,), in which the robot stands with flat
-    feet. They are corners, ends, centres or vertices of the geoms of the foot and of its child
-    bodies; geoms that collide are preferred. Raises ConfigError for a foot without geoms.
+    feet. They are corners, ends, centres or vertices of geoms. The geoms belong to the foot and its
+    child bodies; visual geoms count only without collision geoms. Raises ConfigError for a foot
+    without geoms.
     """
     data, body = posed(model, start), model.body(foot).id
     geoms = [i for i in range(model.ngeom) if body in ancestors(model, int(model.geom_bodyid[i]))]

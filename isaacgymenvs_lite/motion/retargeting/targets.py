@@ -25,9 +25,9 @@ Flags = npt.NDArray[np.bool_]  # True for points that touch the ground
 
 # A point of a sole touches the ground while it is lower and slower than this.
 CONTACT_LOW_M, _SLOW_M_S = 0.02, 0.5
-# Least height of a foot in mid swing, in lengths of the sole; the rise takes this share of the
-# swing; rounding of the transition, in lengths of the sole.
-_CLEARANCE, _RISE_SHARE, _BLEND = 0.12, 0.3, 0.05
+_CLEARANCE = 0.12  # least height of a foot in mid swing, in lengths of the sole
+_RISE_SHARE = 0.3  # share of a swing in which the foot rises
+_BLEND = 0.05  # height in which two curves are blended, in lengths of the sole
 _MOST_TWIST_RAD = np.radians(20.0)
 # Contacts, and gaps in contacts, up to this length are noise.
 _NOISE_S = 0.05
@@ -50,7 +50,7 @@ def pin_feet(
     moved = _planted(points, contact)
     _bridge(moved, touching)
     least = _CLEARANCE * sole.length_m * swing_profile(touching) - points[..., 2].min(axis=1)
-    # The larger height, rounded where both cross in a swing.
+    # The larger of both heights, with a smooth transition in a swing.
     width = _BLEND * sole.length_m
     round_off = np.maximum(width - np.abs(moved[:, 2] - least), 0.0) ** 2 / (4.0 * width)
     moved[:, 2] = np.maximum(moved[:, 2], least) + np.where(~touching, round_off, 0.0)
@@ -207,7 +207,7 @@ _LIMBS = ("lower_arm", "hand", "shin")
 _CONTACT_SPEED = 0.2  # m/s
 _CONTACT_HEIGHT_M = 0.01
 _FEWEST_CONTACT_FRAMES = 5
-# A larger tilt of the sole is part of the motion instead of the rig.
+# A larger tilt of the sole belongs to the motion, a smaller one to the rig.
 _MOST_LEVELLING_RAD = np.radians(15.0)
 # Noise may put points below the ground in this share of the frames.
 _BELOW_GROUND_SHARE = 0.02
@@ -269,7 +269,7 @@ def _ground_of_level_soles(
     fps: float,
     ground: float,
 ) -> float:
-    """Return how much (m) soles at rest are above `ground`; 0 if this is little.
+    """Return the height (m) of soles at rest above `ground`, or 0 if it is small.
 
     A sole longer than the source's goes below the ground while the foot rolls over its toes. Soles
     that are level and slow show the real ground.
@@ -336,7 +336,7 @@ def _add_other_bodies(
 
 
 def _levelled(turns: FloatArray, places: FloatArray, fps: float, foot: str) -> FloatArray:
-    """Return the rotations (T, 4) of a foot, corrected until its sole is flat on the ground.
+    """Return the rotations (T, 4) of a foot, corrected for a flat sole during contact.
 
     Rigs differ in the frame of a foot; the median over the frames on the ground shows its up axis.
     """

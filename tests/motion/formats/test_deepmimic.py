@@ -281,7 +281,7 @@ def test_real_data_sets_give_finite_states(
         assert torch.isfinite(values).all(), key
     assert state.dof_pos.shape == (9000, num_dofs)
     assert state.key_pos.shape == (9000, num_keys, 3)
-    # Nobody is under the ground or flies; the fastest joints turn by some 20 rad/s.
+    # No body is under the ground or flies; the fastest joints move at some 20 rad/s.
     assert 0.1 < state.root_pos[:, 2].min() < state.root_pos[:, 2].max() < 1.3
     assert state.dof_vel.abs().max() < 50.0
 

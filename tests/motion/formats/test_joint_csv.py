@@ -1,4 +1,4 @@
-"""Tables of joint angles: what they hold, and that mistakes in them are named."""
+"""Tests tables of joint angles: their content, and the messages about mistakes."""
 
 from __future__ import annotations
 

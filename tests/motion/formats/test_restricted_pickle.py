@@ -70,7 +70,7 @@ def test_calls_are_refused_and_not_run(tmp_path: Path, attack: str, protocol: in
         "builtins.eval": (Call(eval, touch), "eval"),
     }[attack]
     for i, content in enumerate((call, {"rotation": {"arr": call}}, [{"deep": (call,)}])):
-        # Alone in the file and inside the array that a clip consists of.
+        # The object is alone in the file, then inside the array of a clip.
         for pickled in (pickle.dumps(content, protocol), pickled_array(content, protocol)):
             path = write_npy(tmp_path / f"{i}.npy", pickled)
             with pytest.raises(MotionFileError, match="refused, nothing was run") as raised:

@@ -1,4 +1,4 @@
-"""Mappings of BVH files and robots that are found by names, and what they are mixed up with."""
+"""Tests the mappings of BVH files and robots that are found by names."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_keys_of_a_file_tell_its_kind() -> None:
         assert robot is not None
         assert (skeleton.name, robot.name) == ("a.yaml", "b.yaml")
     assert read_named_mappings("") == (None, None)
-    # A mapping of a skeleton without its first keys is not taken for one of a robot.
+    # A skeleton's mapping without its first keys is not read as a robot's mapping.
     Path("c.yaml").write_text("bodies: {pelvis: {joint: Hips, x: +z, z: +y}}")
     with pytest.raises(ConfigError, match=r"'c\.yaml\.up' is missing"):
         read_named_mappings("c.yaml")
@@ -178,7 +178,7 @@ def test_a_bvh_file_becomes_a_clip(write_bvh, caplog: pytest.LogCaptureFixture) 
 
 
 def test_a_rest_pose_at_the_start_is_told(write_bvh, caplog: pytest.LogCaptureFixture) -> None:
-    """As CMU's files begin: a first frame without rotations, then the motion."""
+    """The first frame has no rotations, as in CMU's files."""
     path = write_bvh(Path("run.bvh"), load_clips("run")[0][0], "cmu")
     command.main(["run.bvh", "a.npz", "mapping=cmu"])
     assert "rest pose" not in caplog.text
