@@ -275,7 +275,6 @@ def _load_json(path: Path, skeletons: Sequence[Skeleton]) -> MotionClip:
     """Read a `.txt` or `.json` clip of DeepMimic (it has 'Frames') or poselib."""
     data = read_json(path)
     if "Frames" in data or path.suffix == ".txt":
-        deepmimic.check_columns(data, str(path))
         return deepmimic.clip_from_deepmimic(data, _humanoid_of(skeletons, path), str(path))
     return clip_from_poselib(data, str(path))
 

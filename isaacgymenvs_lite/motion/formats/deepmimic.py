@@ -163,7 +163,6 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
     the ground, `plausibility.put_on_ground` lowers it again. Velocities are smoothed differences.
     """
     with reading(name, "DeepMimic clip"):
-        check_columns(data, name)
         rows = _rows(data, name)
         missing = [body for body in MOVED_BODIES if body not in skeleton.body_names]
         if missing:
@@ -197,9 +196,12 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
     """Return the frames (T, 44)."""
     rows = np.array(data.get("Frames"), dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != NUM_COLUMNS:
+        keys = f"the keys {', '.join(sorted(data)) or 'nothing'}"
+        found = f"rows of {rows.shape[1]} numbers" if rows.ndim == 2 else keys
         raise MotionFileError(
-            f"{name}: is no DeepMimic clip, expected 'Frames' with rows of {NUM_COLUMNS} numbers; "
-            f"found the keys {', '.join(sorted(data)) or 'nothing'}"
+            f"{name}: is no DeepMimic clip of the humanoid, expected 'Frames' with rows of "
+            f"{NUM_COLUMNS} numbers, found {found}; write a robot's frames as a .csv (root position"
+            " in m, root quaternion xyzw, joints in rad) and convert it with robot=FILE"
         )
     if not np.abs(rows).max(initial=0.0) <= MAX_PLACE_M:  # refuses NaN, too
         raise MotionFileError(
@@ -218,18 +220,6 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
             f"{1.0 / MIN_FPS:g}"
         )
     return rows
-
-
-def check_columns(data: dict[str, Any], name: str) -> None:
-    """Raise a MotionFileError if the rows have another robot's number of columns."""
-    rows = data.get("Frames")
-    widths = {len(row) for row in rows if isinstance(row, list)} if isinstance(rows, list) else ()
-    if len(widths) == 1 and NUM_COLUMNS not in widths:
-        raise MotionFileError(
-            f"{name}: its 'Frames' have {widths.pop()} columns, expected the {NUM_COLUMNS} columns"
-            " of DeepMimic's humanoid; write another robot's frames as a .csv (root position in m,"
-            " root quaternion xyzw, joints in rad) and convert it with robot=FILE"
-        )
 
 
 def _vector(xyz: FloatArray) -> FloatArray:

@@ -144,11 +144,6 @@ class _Unpickler(pickle.Unpickler):
         known = f"{module}.{name}".replace("numpy._core.", "numpy.core.", 1)  # numpy 2
         if known in self._names:
             return self._names[known]
-        if module == "anim.motion":
-            raise MotionFileError(
-                f"{self._path}: is a pickled object of MimicKit's class {name}, which is refused; "
-                "save it again as a dictionary of fps, loop_mode and frames"
-            )
         raise MotionFileError(
             f"{self._path}: refused, nothing was run: the file imports {module}.{name}, but a clip "
             "needs only numpy arrays; get the clip from a source that you trust"

@@ -140,7 +140,7 @@ def test_bad_files_are_one_line(tmp_path: Path, humanoid) -> None:
     for text, message in (
         ("walk!", "no JSON text"),
         ("[1]", "a JSON list"),
-        (json.dumps({"Loop": "wrap"}), "'Frames' with rows of 44 numbers; found the keys Loop"),
+        (json.dumps({"Loop": "wrap"}), "'Frames' with rows of 44 numbers, found the keys Loop"),
         (json.dumps({"Frames": [frame()]}), "holds 1 frame"),
         (json.dumps(stopped), "frame 1 lasts 0 s"),
         (json.dumps(nan), "the frames hold nan"),
@@ -156,7 +156,9 @@ def test_rows_of_other_robots(tmp_path: Path, humanoid) -> None:
     for suffix in ("txt", "json"):
         path = tmp_path / f"clip.{suffix}"
         path.write_text(json.dumps({"Frames": [[0.5] * 19] * 3}))
-        with pytest.raises(MotionFileError, match=r"19 columns.*convert it with robot=FILE"):
+        with pytest.raises(
+            MotionFileError, match=r"found rows of 19 numbers.*convert it with robot=FILE"
+        ):
             load_clips(path, humanoid)
 
 

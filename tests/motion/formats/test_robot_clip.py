@@ -104,7 +104,7 @@ def dump(path, data, how):
 
 @pytest.mark.parametrize(("how", "suffix"), [("joblib", "pkl"), ("compressed", "pickle")])
 def test_motions_by_name(tmp_path, how, suffix):
-    """Return clips in PHC's form."""
+    """Test PHC's form: several motions by name."""
     position, rotation, dofs = arrays(6)
     motion = {"root_trans_offset": position, "root_rot": rotation, "pose_aa": np.zeros((4, 9, 3))}
     motion |= {"dof": np.asfortranarray(dofs)[..., None], "fps": np.int64(50)}

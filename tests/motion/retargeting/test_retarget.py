@@ -94,7 +94,7 @@ def test_joint_limits_hold(tmp_path: Path, write_bvh, humanoid, make_humanoid_cl
 def test_published_motion_follows_within_its_joint_limits(
     tmp_path: Path, write_bvh, humanoid, name
 ) -> None:
-    """Hands and feet follow real motion capture that exceeds the humanoid's limits by up to 24 deg."""
+    """Hands and feet follow motion capture that exceeds the humanoid's limits by up to 24 deg."""
     original = load_clips(f"deepmimic:{name}")[0][0]
     clip = retarget_bvh(
         write_bvh(tmp_path / "a.bvh", original, "cmu"), load_mapping("cmu"), humanoid
