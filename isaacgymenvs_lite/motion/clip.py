@@ -415,7 +415,7 @@ class JointClip:
         following = [i for i in absent if names[i] in followers]
         missing = [theirs[i] for i in absent if i not in following]
         extra = [name for name in ours if name not in set(theirs)]
-        if not all(map(_is_of_hand, (*missing, *extra))):
+        if any(_HAND_WORDS.isdisjoint(name.lower().split("_")) for name in (*missing, *extra)):
             raise MotionFileError(
                 f"{self.name}: its joints are not the robot's; only the robot has "
                 f"{listed(missing)}; only the file has {listed(extra)}"
@@ -463,7 +463,3 @@ def _comparable(names: Sequence[str], others: Sequence[str]) -> list[str]:
     other_short = {_SUFFIX.sub("", name) for name in others}
     unique = len(set(short)) == len(names) and len(other_short) == len(others)
     return short if unique else list(names)
-
-
-def _is_of_hand(name: str) -> bool:
-    return not _HAND_WORDS.isdisjoint(name.lower().split("_"))

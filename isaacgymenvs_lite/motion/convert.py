@@ -76,36 +76,33 @@ def joints_of_clip(clip: MotionClip, skeleton: Skeleton) -> JointClip:
     return JointClip(clip.name, clip.fps, clip.root_translation, root_rot, dofs, skeleton.dof_names)
 
 
-@dataclass(frozen=True)
-class _Format:
-    """A function that writes a clip, and a text about the data that the format lacks."""
-
-    save: Callable[[Path, MotionClip, Skeleton], object]
-    lost: str
-
-
+# Suffix -> function that writes a clip, and the data that the format lacks.
+_Formats = dict[str, tuple[Callable[[Path, MotionClip, Skeleton], object], str]]
 _VELOCITIES = "velocities (they are computed again from the poses)"
 _POSES_ONLY = f"{_VELOCITIES} and limb lengths"
-_DEEPMIMIC = _Format(
+_DEEPMIMIC = (
     lambda path, clip, _skeleton: save_deepmimic(path, clip),
     f"{_POSES_ONLY}, rotations of the hands, sword and shield, and of knees and elbows out of "
     "their axes; reading lifts a clip whose feet are below the ground",
 )
-_FORMATS = {
-    ".npz": _Format(lambda path, clip, _skeleton: save_npz(path, clip), "nothing"),
-    ".npy": _Format(
-        lambda path, clip, _skeleton: save_poselib_npy(path, clip), "digits beyond single precision"
+_FORMATS: _Formats = {
+    ".npz": (lambda path, clip, _skeleton: save_npz(path, clip), "nothing"),
+    ".npy": (
+        lambda path, clip, _skeleton: save_poselib_npy(path, clip),
+        "digits beyond single precision",
     ),
     ".txt": _DEEPMIMIC,
     ".json": _DEEPMIMIC,
-    ".csv": _Format(save_joint_csv, f"{_POSES_ONLY}; rotations of hinges out of their axes"),
+    ".csv": (save_joint_csv, f"{_POSES_ONLY}; rotations of hinges out of their axes"),
 }
-_ROBOT_FORMATS = {
-    ".npz": _Format(
-        lambda path, clip, robot: save_robot_npz(path, joints_of_clip(clip, robot)), _VELOCITIES
+_ROBOT_FORMATS: _Formats = {
+    ".npz": (
+        lambda path, clip, robot: save_robot_npz(path, joints_of_clip(clip, robot)),
+        _VELOCITIES,
     ),
-    ".csv": _Format(
-        lambda path, clip, robot: save_robot_csv(path, joints_of_clip(clip, robot)), _VELOCITIES
+    ".csv": (
+        lambda path, clip, robot: save_robot_csv(path, joints_of_clip(clip, robot)),
+        _VELOCITIES,
     ),
 }
 
@@ -136,7 +133,8 @@ def convert(source: str, out: str, settings: ConvertSettings) -> Path:
     if settings.ground:
         clip = put_on_ground(clip, skeleton)
     warn_of_implausible([clip], skeleton)
-    formats[path.suffix].save(path, clip, skeleton)
+    save, lost = formats[path.suffix]
+    save(path, clip, skeleton)
     _log.info(
         "%s: %d frames at %g Hz, %.2f s, %d degrees of freedom; lost: %s",
         path,
@@ -144,7 +142,7 @@ def convert(source: str, out: str, settings: ConvertSettings) -> Path:
         clip.fps,
         clip.length_s,
         skeleton.num_dofs,
-        formats[path.suffix].lost,
+        lost,
     )
     return path
 

@@ -96,7 +96,7 @@ def robot_from_model(
         if name and name not in keys:
             raise ConfigError(f"start_pose: {unknown('key of the robot', name, keys)}")
         key = next((k for k in ((name,) if name else _START_POSES) if k in keys), None)
-        start = model.qpos0.copy() if key is None else model.key(key).qpos.copy()
+        start = np.array(model.qpos0 if key is None else model.key(key).qpos)
     start = followers.placed(start)
     found, turned = body_poses(model, start[None], [b.body for b in mapping.bodies.values()])
     places = dict(zip(mapping.bodies, found[0], strict=True))
