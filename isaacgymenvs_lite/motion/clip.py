@@ -42,7 +42,7 @@ _LIMITS = {
 }
 QuatOrder = Literal["xyzw", "wxyz"]
 QUAT_ORDERS: tuple[QuatOrder, ...] = ("xyzw", "wxyz")
-# Larger values are reported as odd: G1's fastest joints reach 37 rad/s.
+# `oddities` reports larger values; G1's fastest joints reach 37 rad/s.
 _ODD_JOINT_SPEED_RAD_S, _ODD_ROOT_SPEED_M_S = 60.0, 15.0
 _ODD_JOINT_RAD, _ODD_HEIGHT_M = 10.0, 20.0
 # Angles this far beyond a joint's limits are not in radians.
@@ -264,7 +264,7 @@ def _check_fps_and_finite(clip: MotionClip | JointClip, keys: Iterable[str]) -> 
 
 
 def _not_unit(quaternions: FloatArray) -> tuple[tuple[int, ...], str] | None:
-    """Return the index and a description of the worst non-unit quaternion, or None."""
+    """Return the index of the quaternion farthest from unit length and its error, or None."""
     deviation = np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0)
     if deviation.max() <= _UNIT_TOLERANCE:
         return None

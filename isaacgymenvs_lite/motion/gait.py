@@ -137,7 +137,7 @@ def _leg(robot: PreparedRobot, foot: int) -> Leg:
     model, name = robot.model, robot.model.body(foot).name
     joints = free_joints(model, _chain(model, foot))
     if any(model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE for joint in joints):
-        raise ConfigError(f"the leg of '{name}' has a ball joint; gaits are made for hinges")
+        raise ConfigError(f"the leg of '{name}' has a ball joint, expected hinges")
     if len(joints) > _MOST_HINGES:
         raise ConfigError(
             f"the leg of '{name}' has {len(joints)} hinges, expected at most {_MOST_HINGES}; name a"

@@ -82,8 +82,9 @@ def joint_velocities(local_rotation: FloatArray, fps: float) -> FloatArray:
     """Return the unsmoothed angular velocities (T, J, 3) rad/s of joints, in the child's frame.
 
     The velocity of a frame is its rotation to the next frame; the last frame repeats the velocity
-    before it (T >= 2). The arithmetic is IsaacGymEnvs', in the data's precision, and agrees to 3e-6
-    rad/s. Its arc cosine is off by up to 0.03 rad/s for slow joints in float32 at 60 fps.
+    before it (T >= 2). The arithmetic repeats IsaacGymEnvs' in the data's precision; results agree
+    within 3e-6 rad/s. In float32 at 60 fps its arc cosine is off by up to 0.03 rad/s for slow
+    joints.
     """
     local = torch.from_numpy(np.ascontiguousarray(local_rotation))
     if local.dtype != torch.float32:

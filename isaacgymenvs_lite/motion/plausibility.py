@@ -1,7 +1,7 @@
 """Finds motion in a clip that no body can perform and no policy can imitate.
 
-The checks concern the ground, flight, joint limits, and the start and end of a clip. They log a
-warning; the clip is used in any case.
+The checks concern the ground, flight, joint limits, and the start and end of a clip.
+`warn_of_implausible` logs the results; the clip is used in any case.
 """
 
 from __future__ import annotations

@@ -45,9 +45,9 @@ class PlotSettings:
 
 
 def joint_angles(clip: MotionClip, skeleton: Skeleton) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the angle (T,) rad of each joint by its name; angles of ball joints are unsigned.
+    """Return the angle (T,) rad of each joint; angles of ball joints are unsigned.
 
-    A joint has its body's name; a robot's hinge has its own name.
+    The key is the body's name, or the joint's own name for a robot's hinge.
     """
     dofs = dofs_of_clip(skeleton, clip)
     angles = {}

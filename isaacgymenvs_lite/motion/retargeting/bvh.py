@@ -218,8 +218,8 @@ def _places_in_parents(
 ) -> list[FloatArray]:
     """Replace offsets (J, 3) in place by the joints' positions (T, 3) that are not zero.
 
-    Only the joints `above`, from ROOT to the clip's root, may move in their parents. Return their
-    positions (T, 3) or (1, 3) without ROOT's.
+    Only the joints `above`, from ROOT to the clip's root, may move in their parents. The result is
+    their positions (T, 3) or (1, 3), except ROOT's.
     """
     tolerance = _TOLERANCE * float(np.linalg.norm(offsets, axis=1).max())
     steps = dict(zip(names, offsets[:, None].copy(), strict=True))

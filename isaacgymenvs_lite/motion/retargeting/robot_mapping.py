@@ -102,7 +102,7 @@ def _pair(
     if left_m.max() <= aside_m or left_m.min() >= -aside_m:
         return None
     sides = {"left": ends[int(left_m.argmax())], "right": ends[int(left_m.argmin())]}
-    # Bodies with joints, from below the root to the end.
+    # The bodies with joints from the root (excluded) to the end of each limb.
     chains = {
         side: [i for i in reversed(ancestors(model, end)[:-1]) if model.body_jntnum[i] > 0]
         for side, end in sides.items()
@@ -125,7 +125,7 @@ def _pair(
 
 
 NEEDED = ("pelvis", *(f"{side}_{part}" for side in SIDES for part in ("thigh", "shin", "foot")))
-# Body -> parent, parents first.
+# The parent of each body; parents come first.
 _PARENTS = {
     "torso": "pelvis",
     "head": "torso",
@@ -183,7 +183,7 @@ class RobotMapping:
     # own pose.
     start_pose: str = ""
     fastest_rad_s: float = 20.0  # largest speed of a hinge
-    # The root's quaternion xyzw in the start pose, for `motion.convert`; None keeps the pose's.
+    # The root's quaternion xyzw in the start pose, for `motion.convert`; None: no change.
     start_rotation: tuple[float, ...] | None = None
 
     def parent(self, name: str) -> str | None:
