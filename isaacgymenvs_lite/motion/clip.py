@@ -1,7 +1,6 @@
-"""Motion clips in memory, at a constant frame rate: of bodies, and of a robot's joints.
+"""Motion clips with a constant frame rate: `MotionClip` holds bodies, `JointClip` a robot's joints.
 
-Files of robots' clips hold no bodies: they become a `JointClip`, whose joints are put into the
-order of a robot, and then a `MotionClip` by the robot's kinematics.
+A robot's clip file becomes a `JointClip`, then a `MotionClip` by the robot's kinematics.
 """
 
 from __future__ import annotations
@@ -25,16 +24,15 @@ _log = logging.getLogger(__name__)
 
 MIN_FPS, _MAX_FPS = 0.1, 10_000.0
 MAX_PLACE_M = 10_000.0
-"""From the origin: beyond it single precision has steps of 1 mm."""
+"""Largest coordinate; larger ones have steps of 1 mm in single precision."""
 _MAX_BONE_M = 10.0
 _MAX_SPEED_M_S = 1_000.0
 _MAX_SPEED_RAD_S = 100_000.0
 MAX_JOINT_RAD = 1_000.0  # 160 turns of a wheel's hinge
-# How far the length of a stored quaternion may be from 1.
-_UNIT_TOLERANCE = 1e-3
-# Fewer repeated pairs than this are a character at rest, not data stored twice.
+_UNIT_TOLERANCE = 1e-3  # of a stored quaternion's length
+# Fewer repeated pairs of frames are a character at rest.
 _MIN_REPEATED_PAIRS = 2
-# Array -> largest absolute value of a number in it, unit.
+# Array -> largest absolute value, unit.
 _LIMITS = {
     "root_translation": (MAX_PLACE_M, "m"),
     "local_translation": (_MAX_BONE_M, "m"),
@@ -44,12 +42,12 @@ _LIMITS = {
 }
 QuatOrder = Literal["xyzw", "wxyz"]
 QUAT_ORDERS: tuple[QuatOrder, ...] = ("xyzw", "wxyz")
-# What no robot does, and what is reported only: G1's fastest joints reach 37 rad/s.
+# `oddities` reports larger values; G1's fastest joints reach 37 rad/s.
 _ODD_JOINT_SPEED_RAD_S, _ODD_ROOT_SPEED_M_S = 60.0, 15.0
 _ODD_JOINT_RAD, _ODD_HEIGHT_M = 10.0, 20.0
-# Beyond a joint's limits: what no file in radians has.
+# Angles this far beyond a joint's limits are not in radians.
 _MAX_EXCESS_RAD = 2.0 * np.pi
-# A root is upright where its upward axis, by default z, is within 60 degrees of the world's.
+# A root is upright if its upward axis is within 60 degrees of the world's z.
 _UPRIGHT_COSINE = 0.5
 UP: tuple[float, ...] = (0.0, 0.0, 1.0)
 _HAND_WORDS = {"hand", "finger", "thumb", "index", "middle", "ring", "pinky", "little", "gripper"}
@@ -61,19 +59,19 @@ class MotionClip:
     """T >= 2 frames of a skeleton with J bodies; z up, quaternions xyzw, arrays of floats.
 
     Attributes:
-        name: the source of the clip: its path, or `deepmimic:<name>`.
+        name: the path of the clip, or `deepmimic:<name>`.
         fps: frames per second.
         body_names: J names, root first.
         parent_indices: J body ids, -1 for the root; parents come before children.
-        local_translation: (J, 3) m, origin of a body in its parent's frame (root: not used); or
-            (T, J, 3) where joints are beside the origins of their bodies, which they then move.
+        local_translation: (J, 3) m, origin of a body in its parent's frame; the root's row is not
+            used. (T, J, 3) if joints that are not at the origins of their bodies move them.
         local_rotation: (T, J, 4), rotation of a body relative to its parent (root: to the world).
         root_translation: (T, 3) m, world position of the root.
-        linear_velocity_w: (T, J, 3) m/s, of the bodies' origins in the world.
-        angular_velocity_w: (T, J, 3) rad/s, in the world.
-        dof_pos: (T, D) rad, joint coordinates in the order of the `Skeleton`: rotation vectors of
-            ball joints, angles of hinges, of any size. None: the rotations of the bodies determine
-            them. Rotations do not if a body has several joints, or a hinge turns beyond pi.
+        linear_velocity_w: (T, J, 3) m/s, world velocities of the bodies' origins.
+        angular_velocity_w: (T, J, 3) rad/s, in the world frame.
+        dof_pos: (T, D) rad, joint coordinates in the `Skeleton`'s order: rotation vectors of ball
+            joints and angles of hinges. None if the bodies' rotations determine them: each body
+            then has one joint, and hinge angles are within pi.
     """
 
     name: str
@@ -114,9 +112,9 @@ class MotionClip:
         root_translation: FloatArray,
         dof_pos: FloatArray | None = None,
     ) -> MotionClip:
-        """Make a clip from poses; velocities by differences, smoothed as poselib does.
+        """Make a clip from poses; velocities are differences, smoothed like poselib's.
 
-        Arguments as the attributes of the class. Raises MotionFileError, see `validate`.
+        The arguments are attributes of the class. Errors: see `validate`.
         """
         still = np.zeros((*np.shape(local_rotation)[:2], 3))
         clip = cls(
@@ -142,7 +140,7 @@ class MotionClip:
         return clip
 
     def timed_arrays(self) -> dict[str, FloatArray]:
-        """Return the arrays with one row per frame, by the names of their attributes."""
+        """Return the arrays with one row per frame, by attribute name."""
         keys = ["local_rotation", "root_translation", "linear_velocity_w", "angular_velocity_w"]
         keys += ["local_translation"] if np.ndim(self.local_translation) == 3 else []
         keys += ["dof_pos"] if self.dof_pos is not None else []
@@ -157,9 +155,8 @@ class MotionClip:
     def validate(self) -> None:
         """Raise a MotionFileError for a clip that cannot be used.
 
-        Arrays do not fit together, the tree has not one root or a child before its parent, there
-        are fewer than two frames, NaN or infinity, quaternions that are not of unit length (1e-3),
-        or a frame rate, place, bone or speed that no motion has.
+        The checks concern shapes, the tree, the number of frames (at least 2), NaN and infinity,
+        the lengths of quaternions (1 within 1e-3), and the ranges of fps, lengths and speeds.
         """
         frames, bodies = len(np.atleast_1d(self.local_rotation)), self.num_bodies
         moving = (frames,) * (np.ndim(self.local_translation) == 3)
@@ -189,14 +186,14 @@ class MotionClip:
             )
 
     def find_repeated_frames(self) -> int | None:
-        """Return the first frame, 0 or 1, that its own copy follows if every pose is stored twice.
+        """Return the first frame, 0 or 1, that equals the next frame if every pose is stored twice.
 
-        With 1 the clip starts with the second of a pair. None: poses are not stored twice.
+        Return None if poses are not stored twice.
         """
         same = (self.local_rotation[1:] == self.local_rotation[:-1]).all(axis=(1, 2))
         same &= (self.root_translation[1:] == self.root_translation[:-1]).all(axis=1)
         if same.all():
-            return None  # The character does not move: no frame is a copy rather than a pose.
+            return None  # the character does not move
         for first in (0, 1):
             pairs = same[first::2]
             if len(pairs) >= _MIN_REPEATED_PAIRS and pairs.all():
@@ -204,7 +201,7 @@ class MotionClip:
         return None
 
     def drop_repeated_frames(self) -> MotionClip:
-        """Return the clip without copies, at half the fps, if every pose is stored twice.
+        """Return the clip at half the fps, without copies, if every pose is stored twice.
 
         Stored velocities are kept: they were smoothed over many frames and are correct.
         """
@@ -251,7 +248,7 @@ def _check_shapes(clip: MotionClip | JointClip, shapes: dict[str, Any], what: st
 
 
 def _check_fps_and_finite(clip: MotionClip | JointClip, keys: Iterable[str]) -> None:
-    """Raise a MotionFileError for a frame rate that no motion has, NaN and infinity."""
+    """Raise a MotionFileError for a frame rate out of range, NaN or infinity."""
     if not MIN_FPS <= clip.fps <= _MAX_FPS:
         raise MotionFileError(
             f"{clip.name}: fps is {clip.fps:g}, expected {MIN_FPS:g} to {_MAX_FPS:g}"
@@ -267,7 +264,7 @@ def _check_fps_and_finite(clip: MotionClip | JointClip, keys: Iterable[str]) -> 
 
 
 def _not_unit(quaternions: FloatArray) -> tuple[tuple[int, ...], str] | None:
-    """Return where (..., 4) are farthest from unit length, and how far; None if all are near."""
+    """Return the index of the quaternion farthest from unit length and its error, or None."""
     deviation = np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0)
     if deviation.max() <= _UNIT_TOLERANCE:
         return None
@@ -277,11 +274,11 @@ def _not_unit(quaternions: FloatArray) -> tuple[tuple[int, ...], str] | None:
 
 
 def _check_size(name: str, key: str, largest: float, limit: float, unit: str) -> None:
-    """Raise a MotionFileError for a value that no motion has: a wrong unit, or a damaged file."""
+    """Raise a MotionFileError for a value beyond the limit."""
     if largest > limit:
         raise MotionFileError(
-            f"{name}: {key} has {largest:.4g} {unit}, expected at most {limit:g} {unit}; is its "
-            "unit another one?"
+            f"{name}: {key} has {largest:.4g} {unit}, expected at most {limit:g} {unit}; check its"
+            " unit"
         )
 
 
@@ -289,13 +286,13 @@ def _check_size(name: str, key: str, largest: float, limit: float, unit: str) ->
 class JointClip:
     """T >= 2 frames of a robot with D joint coordinates; z up, quaternions xyzw."""
 
-    name: str  # the source of the clip, its path
+    name: str  # the path of the clip
     fps: float  # frames per second
     root_pos: FloatArray  # (T, 3) m, world position of the root body
     root_rot: FloatArray  # (T, 4) xyzw, rotation of the root body to the world
     dof_pos: FloatArray  # (T, D) rad, angles of hinges, and rotation vectors of ball joints
-    joint_names: tuple[str, ...] | None = None  # D names, or None where the file has none
-    # The order in which the quaternions of the file were read; None: it holds other rotations.
+    joint_names: tuple[str, ...] | None = None  # D names; None if the file has none
+    # The order in which the file's quaternions were read; None if it has no quaternions.
     file_quat_order: QuatOrder | None = "xyzw"
 
     @property
@@ -335,15 +332,15 @@ class JointClip:
             raise MotionFileError(f"{self.name}: root_rot of frame {found[0][0]} {found[1]}")
 
     def _root_speed(self) -> FloatArray:
-        """Return the root's speed (T-1) in m/s."""
+        """Return the root's speed (T - 1,) in m/s."""
         return np.linalg.norm(np.diff(self.root_pos.astype(np.float64), axis=0), axis=-1) * self.fps
 
     def _joint_speed(self) -> FloatArray:
-        """Return the joints' speeds (T-1, D) in rad/s."""
+        """Return the joints' speeds (T - 1, D) in rad/s."""
         return np.abs(np.diff(self.dof_pos.astype(np.float64), axis=0)) * self.fps
 
     def oddities(self, up_b: Sequence[float] = UP) -> list[str]:
-        """Return one line for each thing that few robots do: a wrong unit, rate or quaternion.
+        """Return a line for each sign of a wrong unit, frame rate or quaternion order.
 
         `up_b` (3,) is the upward direction in the frame of an upright root.
         """
@@ -355,7 +352,7 @@ class JointClip:
                 if _upright_share(self.reread(order).root_rot, up_b) > 0.5:
                     text += (
                         f", but not if the quaternions of the file are {order}:"
-                        f" isaacgymenvs-lite convert reads them so with quat_order={order}"
+                        f" give quat_order={order} to isaacgymenvs-lite convert"
                     )
             found.append(text)
         root, speeds, angles = self._root_speed().max(), self._joint_speed(), np.abs(self.dof_pos)
@@ -378,12 +375,12 @@ class JointClip:
     def reread(self, quat_order: QuatOrder) -> JointClip:
         """Return the clip with the quaternions of its file read in this order.
 
-        Raises MotionFileError if the file holds other rotations.
+        Raises MotionFileError if the file has no quaternions.
         """
         if self.file_quat_order is None:
             raise MotionFileError(
-                f"{self.name}: holds no quaternions, so that quat_order={quat_order} has no"
-                " meaning; leave it out"
+                f"{self.name}: holds no quaternions, which quat_order={quat_order} needs; leave it"
+                " out"
             )
         if quat_order == self.file_quat_order:
             return self
@@ -395,15 +392,12 @@ class JointClip:
     def fitted_to(
         self, joint_names: Sequence[str], by_order: bool = False, followers: Sequence[str] = ()
     ) -> JointClip:
-        """Return the clip with the joints of a robot in its order.
+        """Return the clip with the joints of a robot in the robot's order.
 
-        Names count where the file has them; an ending `_joint` or `_dof` may be missing on one
-        side. Joints of hands that only the file has are dropped; those that only the robot has stay
-        at 0 rad. Both are logged. Without names, or `by_order`, the order and the number of joints
-        count. Angles of `followers`, which follow from other joints, are NaN if the file leaves
-        them out.
-
-        Raises MotionFileError if other joints are missing or extra, or the number differs.
+        Joints are matched by name, without the endings `_joint` and `_dof`, or by their order if
+        the file has no names or `by_order` is True. Hand joints may differ: extra ones are dropped,
+        missing ones stay at 0 rad. Missing `followers`, whose angles follow from other joints, are
+        NaN. Raises MotionFileError for other missing or extra joints.
         """
         names = tuple(joint_names)
         if self.joint_names is None or by_order:
@@ -421,7 +415,7 @@ class JointClip:
         following = [i for i in absent if names[i] in followers]
         missing = [theirs[i] for i in absent if i not in following]
         extra = [name for name in ours if name not in set(theirs)]
-        if not all(map(_is_of_hand, (*missing, *extra))):
+        if any(_HAND_WORDS.isdisjoint(name.lower().split("_")) for name in (*missing, *extra)):
             raise MotionFileError(
                 f"{self.name}: its joints are not the robot's; only the robot has "
                 f"{listed(missing)}; only the file has {listed(extra)}"
@@ -438,25 +432,25 @@ class JointClip:
         return dataclasses.replace(self, dof_pos=dof_pos, joint_names=names)
 
     def check_limits(self, dof_limits: FloatArray) -> None:
-        """Raise a MotionFileError if joints exceed their limits so far that the unit is wrong.
+        """Raise a MotionFileError if joints exceed the limits (D, 2) rad by more than 2 pi.
 
-        `dof_limits` (D, 2) rad are of a robot, in its order. Smaller excesses are `plausibility`'s.
+        The unit is then wrong; `plausibility` reports smaller excesses.
         """
         excess_rad = np.maximum(dof_limits[:, 0] - self.dof_pos, self.dof_pos - dof_limits[:, 1])
-        of_joints_rad = np.fmax.reduce(excess_rad)  # without NaN, see `fitted_to`
+        of_joints_rad = np.fmax.reduce(excess_rad)  # ignores the NaN of `fitted_to`
         joint = int(np.nanargmax(of_joints_rad))
         worst_rad = float(of_joints_rad[joint])
         if worst_rad <= _MAX_EXCESS_RAD:
             return
         low, high = dof_limits[joint]
         raise MotionFileError(
-            f"{self.name}: {self._label(joint)} leaves its limits ({low:.3g} to {high:.3g} rad) by"
+            f"{self.name}: {self._label(joint)} exceeds its limits ({low:.3g} to {high:.3g} rad) by"
             f" up to {worst_rad:.3g} rad; is the unit degrees?"
         )
 
 
 def _upright_share(root_rot: FloatArray, up_b: Sequence[float]) -> float:
-    """Return the share of rotations (T, 4) that turn `up_b` (3,) within 60 degrees of z."""
+    """Return the share of rotations (T, 4) that rotate `up_b` (3,) to within 60 degrees of z."""
     turns = torch.from_numpy(np.ascontiguousarray(root_rot, dtype=np.float64))
     up = torch.tensor(up_b, dtype=torch.float64).expand(len(turns), 3)
     up_w = rotations.quat_apply(turns, up)
@@ -464,12 +458,8 @@ def _upright_share(root_rot: FloatArray, up_b: Sequence[float]) -> float:
 
 
 def _comparable(names: Sequence[str], others: Sequence[str]) -> list[str]:
-    """Return the names without endings, unless two of one side would become the same."""
+    """Return the names without endings, or unchanged if this makes two names equal."""
     short = [_SUFFIX.sub("", name) for name in names]
     other_short = {_SUFFIX.sub("", name) for name in others}
     unique = len(set(short)) == len(names) and len(other_short) == len(others)
     return short if unique else list(names)
-
-
-def _is_of_hand(name: str) -> bool:
-    return not _HAND_WORDS.isdisjoint(name.lower().split("_"))

@@ -5,27 +5,27 @@
     isaacgymenvs-lite convert dance.bvh dance.npz mapping=lafan1
     isaacgymenvs-lite convert walk g1_walk.npz robot=mjcf/g1.xml
 
-IN is a clip as task.env.motion_file takes it (not a data set), or a .bvh file; FILE.pkl:NAME is one
-of several motions in a file. The suffix of OUT determines its format: .npz (this project's), .npy
-(poselib's), .txt or .json (DeepMimic's), .csv (joint angles); for a robot .npz or .csv. Keys:
+IN is a clip that task.env.motion_file accepts (no data set), or a .bvh file; FILE.pkl:NAME selects
+a motion of a file. The suffix of OUT determines its format: .npz (this project's), .npy (poselib),
+.txt or .json (DeepMimic), .csv (joint angles); for a robot .npz or .csv. Keys:
 
-    fps=30              frames per second of OUT (default: as IN)
+    fps=30              frames per second of OUT (default: the rate of IN)
     start_s=0 end_s=5   the part of IN to keep, in seconds
-    mapping=cmu         for .bvh: cmu, lafan1, or a YAML file; see docs/motion_formats.md (default:
-                        by the names of joints)
-    num_dofs=31         of the humanoid: 28, or 31 with sword and shield (default: as IN, else 28)
-    ground=True         raise or lower it, so that its lowest points are on the ground
-    overwrite=True      OUT may exist
+    mapping=cmu         for .bvh: cmu, lafan1, or a YAML file, see docs/motion_formats.md (default:
+                        joints are matched by name)
+    num_dofs=31         the humanoid's: 28, or 31 with sword and shield (default: IN's, else 28)
+    ground=True         raises or lowers the clip until its lowest points are on the ground
+    overwrite=True      replaces an existing OUT
 
 For a clip of a robot:
 
-    robot=/robots/g1.xml  its MJCF or URDF, or a name in assets/. IN is a clip of this robot in any
-                          form, or is retargeted to it
+    robot=/robots/g1.xml  the robot's MJCF or URDF, or a name in assets/. A clip of another body is
+                          retargeted to this robot
     mapping=g1            g1 or a YAML file of the robot's bodies; for .bvh also mapping=cmu,g1
-                          (default: by the names of bodies)
-    file_fps=50           of IN, if it has no frame rate (default of tables: 30, BONES-SEED 120)
-    quat_order=wxyz       or xyzw, if the quaternions of IN are not in the order of its form
-    by_order=True         joints of IN count by their order, not by their names
+                          (default: bodies are matched by name)
+    file_fps=50           rate of IN if the file has none (default: 30, BONES-SEED 120)
+    quat_order=wxyz       wxyz or xyzw: overrides the usual quaternion order of IN's format
+    by_order=True         matches the joints of IN by their order instead of their names
 """
 
 from __future__ import annotations
@@ -67,88 +67,65 @@ from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skelet
 from isaacgymenvs_lite.robots.settings import RobotSettings
 from isaacgymenvs_lite.schema import setting
 
-
-def joints_of_clip(clip: MotionClip, skeleton: Skeleton) -> JointClip:
-    """Return the joint coordinates of a robot's clip, with the names of its joints."""
-    return JointClip(
-        name=clip.name,
-        fps=clip.fps,
-        root_pos=clip.root_translation,
-        root_rot=clip.local_rotation[:, 0],
-        dof_pos=dofs_of_clip(skeleton, clip),
-        joint_names=skeleton.dof_names,
-    )
-
-
 _log = logging.getLogger(__name__)
 
-_POSES_ONLY = "velocities (they are computed again from the poses) and limb lengths"
+
+def joints_of_clip(clip: MotionClip, skeleton: Skeleton) -> JointClip:
+    """Return the joint coordinates of a robot's clip, with joint names."""
+    root_rot, dofs = clip.local_rotation[:, 0], dofs_of_clip(skeleton, clip)
+    return JointClip(clip.name, clip.fps, clip.root_translation, root_rot, dofs, skeleton.dof_names)
 
 
-@dataclass(frozen=True)
-class _Format:
-    """How a clip is written, and what the format loses of it."""
-
-    save: Callable[[Path, MotionClip, Skeleton], object]
-    lost: str
-
-
-_DEEPMIMIC = _Format(
+# Suffix -> function that writes a clip, and the data that the format lacks.
+_Formats = dict[str, tuple[Callable[[Path, MotionClip, Skeleton], object], str]]
+_VELOCITIES = "velocities (they are computed again from the poses)"
+_POSES_ONLY = f"{_VELOCITIES} and limb lengths"
+_DEEPMIMIC = (
     lambda path, clip, _skeleton: save_deepmimic(path, clip),
     f"{_POSES_ONLY}, rotations of the hands, sword and shield, and of knees and elbows out of "
     "their axes; reading lifts a clip whose feet are below the ground",
 )
-_FORMATS = {
-    ".npz": _Format(lambda path, clip, _skeleton: save_npz(path, clip), "nothing"),
-    ".npy": _Format(
+_FORMATS: _Formats = {
+    ".npz": (lambda path, clip, _skeleton: save_npz(path, clip), "nothing"),
+    ".npy": (
         lambda path, clip, _skeleton: save_poselib_npy(path, clip),
         "digits beyond single precision",
     ),
     ".txt": _DEEPMIMIC,
     ".json": _DEEPMIMIC,
-    ".csv": _Format(save_joint_csv, f"{_POSES_ONLY}; rotations of hinges out of their axes"),
+    ".csv": (save_joint_csv, f"{_POSES_ONLY}; rotations of hinges out of their axes"),
 }
-_OF_BODIES = "velocities (they are computed again from the poses)"
-_ROBOT_FORMATS = {
-    ".npz": _Format(
-        lambda path, clip, robot: save_robot_npz(path, joints_of_clip(clip, robot)), _OF_BODIES
+_ROBOT_FORMATS: _Formats = {
+    ".npz": (
+        lambda path, clip, robot: save_robot_npz(path, joints_of_clip(clip, robot)),
+        _VELOCITIES,
     ),
-    ".csv": _Format(
-        lambda path, clip, robot: save_robot_csv(path, joints_of_clip(clip, robot)), _OF_BODIES
+    ".csv": (
+        lambda path, clip, robot: save_robot_csv(path, joints_of_clip(clip, robot)),
+        _VELOCITIES,
     ),
 }
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertSettings:
-    """Settings of the command."""
+    """Keys of the command; the module docstring describes them."""
 
     fps: float | None = setting(None, above=0)
-    """Frames per second of the output; None: of the input."""
     start_s: float = setting(0.0, minimum=0)
-    """Where to start in the input."""
     end_s: float | None = setting(None, above=0)
-    """Where to end; None: at its end."""
     num_dofs: int | None = setting(None, choices=SHIPPED_NUM_DOFS)
-    """Of the humanoid; None: the one whose bodies the input names, else 28."""
     mapping: str = setting("")
-    """For a BVH file and for a robot: a shipped mapping or a YAML file; '': found by names."""
     robot: str = setting("")
-    """The robot's MJCF or URDF; '': OUT is a clip of a shipped humanoid."""
     file_fps: float | None = setting(None, above=0)
-    """Frames per second of a robot's table without a rate; None: as usual for its form."""
     quat_order: str | None = setting(None, choices=QUAT_ORDERS)
-    """Of the quaternions in a robot's file; None: as usual for its form, or as its bodies show."""
     by_order: bool = setting(False)
-    """Whether the joints of a robot's file count by their order, not by their names."""
     ground: bool = setting(False)
-    """Whether the whole clip is raised or lowered, so that its lowest points are on the ground."""
     overwrite: bool = setting(False)
-    """Whether an existing output is replaced."""
 
 
 def convert(source: str, out: str, settings: ConvertSettings) -> Path:
-    """Convert one clip; returns the path of the output, of which no part remains after an error."""
+    """Convert one clip and return the path of the output; an error leaves no partial output."""
     path = Path(out)
     formats = _ROBOT_FORMATS if settings.robot else _FORMATS
     check_output(path, formats, settings.overwrite)
@@ -156,7 +133,8 @@ def convert(source: str, out: str, settings: ConvertSettings) -> Path:
     if settings.ground:
         clip = put_on_ground(clip, skeleton)
     warn_of_implausible([clip], skeleton)
-    formats[path.suffix].save(path, clip, skeleton)
+    save, lost = formats[path.suffix]
+    save(path, clip, skeleton)
     _log.info(
         "%s: %d frames at %g Hz, %.2f s, %d degrees of freedom; lost: %s",
         path,
@@ -164,7 +142,7 @@ def convert(source: str, out: str, settings: ConvertSettings) -> Path:
         clip.fps,
         clip.length_s,
         skeleton.num_dofs,
-        formats[path.suffix].lost,
+        lost,
     )
     return path
 
@@ -180,7 +158,7 @@ def _clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]
         times = (settings.start_s, settings.end_s, settings.fps)
         return retarget_bvh(source, used, skeleton, *times), skeleton
     if settings.mapping:
-        raise ConfigError(f"mapping={settings.mapping}: only a .bvh file needs one, or robot=")
+        raise ConfigError(f"mapping={settings.mapping}: needs a .bvh file or robot=; leave it out")
     skeletons = [skeleton_for_num_dofs(settings.num_dofs)] if settings.num_dofs else ()
     return _part(*load_single_clip(source, skeletons), settings)
 
@@ -188,7 +166,7 @@ def _clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]
 def _part(
     clip: MotionClip, skeleton: Skeleton, settings: ConvertSettings
 ) -> tuple[MotionClip, Skeleton]:
-    """Return the part of a clip that the settings ask for, at their frame rate."""
+    """Return the part of a clip between the settings' times, at their frame rate."""
     clip = cut(clip, settings.start_s, settings.end_s)
     if settings.fps is not None:
         clip = resample(clip, settings.fps, skeleton)
@@ -199,7 +177,7 @@ def _robots_clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Sk
     """Read a clip of a robot, or retarget a humanoid's or a BVH file to it."""
     if settings.num_dofs is not None:
         raise ConfigError(
-            f"num_dofs={settings.num_dofs} chooses a humanoid and robot={settings.robot} a robot; "
+            f"num_dofs={settings.num_dofs} selects a humanoid and robot={settings.robot} a robot; "
             "leave one out"
         )
     joint_file = _joint_file(settings)
@@ -219,9 +197,7 @@ def _robots_clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Sk
         motion = load_bvh_source(source, of_skeleton, *times)
     else:
         if of_skeleton is not None:
-            raise ConfigError(
-                f"mapping={of_skeleton.name}: only a .bvh file needs one of this kind"
-            )
+            raise ConfigError(f"mapping={of_skeleton.name}: needs a .bvh file; leave it out")
         humanoids = [skeleton_for_num_dofs(number) for number in SHIPPED_NUM_DOFS]
         read = load_single_clip(source, [robot.skeleton, *humanoids], joint_file)
         clip, skeleton = _part(*read, settings)

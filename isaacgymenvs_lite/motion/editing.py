@@ -20,7 +20,7 @@ _TIME_ROUNDING_S = 1e-6
 
 
 def cut(clip: MotionClip, start_s: float = 0.0, end_s: float | None = None) -> MotionClip:
-    """Return the frames from the one nearest to `start_s` to the one nearest to `end_s`.
+    """Return the frames between the times `start_s` and `end_s`, both rounded to a frame.
 
     Raises MotionFileError if the times are not in the clip, or fewer than two frames remain.
     """
@@ -42,11 +42,10 @@ def cut(clip: MotionClip, start_s: float = 0.0, end_s: float | None = None) -> M
 
 
 def resample(clip: MotionClip, fps: float, skeleton: Skeleton | None = None) -> MotionClip:
-    """Return the clip at another frame rate, poses and velocities interpolated.
+    """Return the clip at another frame rate by interpolating poses and velocities.
 
-    The first frame is kept; the last one is the last multiple of the new frame time in the clip.
-    Joint coordinates, which need the skeleton, determine the poses; angles of hinges are
-    interpolated linearly. Raises MotionFileError if fewer than two frames remain.
+    The first frame is kept. Joint coordinates determine the poses if the clip has them; this needs
+    the skeleton. Raises MotionFileError if fewer than two frames remain.
     """
     num_frames = int(clip.length_s * fps + _TIME_ROUNDING_S) + 1
     if num_frames < 2:
@@ -81,8 +80,8 @@ def resample(clip: MotionClip, fps: float, skeleton: Skeleton | None = None) -> 
 def interpolate_rotations(start: FloatArray, end: FloatArray, share: FloatArray) -> FloatArray:
     """Return rotations (..., 4) xyzw at `share` (...) of the shorter way from start to end.
 
-    Exact for nearly equal rotations, unlike `rotations.slerp`, which repeats the original motion
-    library's arithmetic.
+    The result is exact for nearly equal rotations; `rotations.slerp` has the arithmetic of the
+    original motion library.
     """
     a, b = (torch.from_numpy(np.asarray(turn, dtype=np.float64)) for turn in (start, end))
     way = rotations.quat_log(rotations.quat_mul(rotations.quat_conjugate(a), b))
@@ -93,7 +92,7 @@ def interpolate_rotations(start: FloatArray, end: FloatArray, share: FloatArray)
 def _blend_dofs(
     dofs: FloatArray, skeleton: Skeleton, before: npt.NDArray[np.integer], share: FloatArray
 ) -> FloatArray:
-    """Return DOFs (T, D) interpolated likewise; ball joints take the shorter way."""
+    """Return interpolated DOFs (T, D): linear for hinges, the shorter way for ball joints."""
     blended = _blend(np.asarray(dofs, dtype=np.float64), before, share)
     turns = joint_rotations(skeleton, dofs).numpy()
     turns = interpolate_rotations(turns[before], turns[before + 1], share[:, None])
@@ -105,7 +104,7 @@ def _blend_dofs(
 
 
 def _blend(values: FloatArray, before: npt.NDArray[np.integer], share: FloatArray) -> FloatArray:
-    """Return values (T, ...) interpolated between the rows `before` and the next ones."""
+    """Return values (T, ...) interpolated between the rows `before` and the next rows."""
     share = share.reshape(-1, *[1] * (values.ndim - 1))
     blended = values[before] * (1.0 - share) + values[before + 1] * share
     return blended.astype(values.dtype)

@@ -3,24 +3,22 @@
     isaacgymenvs-lite gait assets/mjcf/quadruped.xml trot.npz speed=1
     isaacgymenvs-lite gait a1.urdf walk.npz gait=walk speed=0.4 frequency=1.2
 
-ROBOT is an MJCF or URDF of a quadruped that looks along x; OUT is a clip of its joint coordinates
-(.npz), for task=RobotAMP. Keys:
+ROBOT is an MJCF or URDF of a quadruped that looks along x. OUT is a clip of its joint coordinates
+(.npz) for task=RobotAMP. The trunk moves at constant speed; feet in stance do not move. Keys:
 
     gait=trot           trot (diagonal pairs), walk (one foot after the other), pace (left, right)
-    speed=1             m/s; negative goes backwards
-    frequency=2         strides per second; changed a little for a whole number of them
+    speed=1             m/s; a negative speed goes backwards
+    frequency=2         strides per second; adjusted to a whole number of strides
     duty_factor=0.5     share of a stride that a foot is on the ground (default of a walk: 0.75)
-    step_height=0.06    m, how high feet are lifted
-    body_height=0.3     m, of the trunk's origin (default: hips at 0.7 of the legs' length)
-    bounce=0            m, how far the trunk rises and sinks about it, twice in a stride
-    knees=behind        behind, ahead, or inward (front ones behind, rear ones ahead), of legs that
-                        can bend to both sides
-    seconds=4 fps=60    of the clip
-    feet=[]             names or patterns of the feet, such as [*_foot] (default: found)
-    start_rotation=[0,0,0,1]  of the trunk, xyzw, where the file's robot does not look along x
-    overwrite=True      OUT may exist
-
-Feet in stance stay where they are while the trunk moves on at constant speed.
+    step_height=0.06    height of the feet in mid swing, m
+    body_height=0.3     height of the trunk's origin, m (default: hips at 0.7 of the legs' length)
+    bounce=0            amplitude of the trunk's vertical motion, m
+    knees=behind        side of the knees for legs that bend to both sides: behind, ahead, or
+                        inward (front knees behind, rear knees ahead)
+    seconds=4 fps=60    length and frame rate of the clip
+    feet=[]             names or patterns of the feet, for example [*_foot] (default: found)
+    start_rotation=[0,0,0,1]  the trunk's quaternion xyzw that makes the robot look along x
+    overwrite=True      replaces an existing OUT
 """
 
 from __future__ import annotations
@@ -57,21 +55,20 @@ from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.utils import rotations
 
 NUM_LEGS = 4
-_LEAST_HINGES = 3  # with fewer, a foot does not reach every point about it
-_MOST_HINGES = 6  # the search for a first pose tries three angles of each
+_LEAST_HINGES = 3  # a foot needs three hinges to reach every nearby point
+_MOST_HINGES = 6  # the search for the first pose tries three angles per hinge
 KNEES = ("behind", "ahead", "inward")
-"""Sides to which legs may bend; inward: front ones behind, rear ones ahead, as a dog's."""
 TOLERANCE_M = 1e-6
-"""How near a foot comes to its place."""
+"""Largest distance of a foot from its target."""
 _ITERATIONS = 100
-_DAMPING = 1e-6  # m^2/rad^2, of the squared Jacobian: keeps steps of straight legs finite
+_DAMPING = 1e-6  # m^2/rad^2; keeps steps of straight legs finite
 _LONGEST_STEP_RAD = 0.3
-_PULL = 0.1  # of the way back to the posture, in a step of a leg that has hinges to spare
-# Angles from the start pose, of each joint, from which the search of the first pose begins.
+_PULL = 0.1  # share of the way back to the posture per step, for legs with redundant hinges
+# The search for the first pose begins with these angles of each joint from the start pose.
 _FIRST_BENDS_RAD = (-1.0, 0.0, 1.0)
-# Solutions whose angles differ from the start pose by as much are alike; then the knees decide.
+# Solutions with the same distance to the start pose, rounded to this step, differ by their knees.
 _ALIKE_RAD = 0.2
-_LOWEST_M = 1e-4  # points of a foot that are as low as the lowest one
+_LOWEST_M = 1e-4  # tolerance of a foot's lowest points
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,22 +78,22 @@ class Leg:
     foot: str  # name of the body
     body: int  # its id
     joints: tuple[int, ...]  # ids of the hinges that move freely, from the hip down
-    # (3,) m, the centre of the foot's lowest ball, or its lowest point, in its own frame.
+    # (3,) m, centre of the foot's lowest ball, or its lowest point, in the foot's frame
     sole: FloatArray
-    radius: float  # m, of the ball; 0 of a point
-    # (3,) m, from the trunk's origin to the hinge that swings the leg fore and aft, in the start
-    # pose and the world's axes.
+    radius: float  # m, radius of the ball; 0 for a point
+    # (3,) m, the hinge that swings the leg fore and aft, relative to the trunk's origin, in the
+    # start pose and world axes
     hip: FloatArray
-    neutral_y: float  # m, from the trunk's origin to the foot along y, likewise
-    length: float  # m, of the straight leg from this hinge to `sole`
+    neutral_y: float  # m, the foot's y relative to the trunk's origin in the start pose
+    length: float  # m, the straight leg from `hip` to `sole`
 
 
 def find_legs(robot: PreparedRobot) -> tuple[Leg, ...]:
-    """Return the legs of a quadruped that looks along x: front left, front right, rear left, right.
+    """Return the legs of a quadruped: front left, front right, rear left, rear right.
 
-    A leg is a chain of bodies with at least three hinges below the trunk that holds a body that
-    touches the floor in the start pose; if these are not four, one that holds a key body. Raises
-    ConfigError if the robot has not four of them, two on each side.
+    A leg is a chain of at least three hinges from the trunk to a foot. Feet are the bodies that
+    touch the floor in the start pose, or the key bodies if these are not four feet. Raises
+    ConfigError unless the robot has two legs on each side and looks along x.
     """
     by_contact = _feet(robot.model, robot.contact_bodies)
     feet = by_contact
@@ -106,7 +103,7 @@ def find_legs(robot: PreparedRobot) -> tuple[Leg, ...]:
         bodies = ", ".join(dict.fromkeys((*robot.contact_bodies, *robot.key_bodies)))
         raise ConfigError(
             f"has {len(by_contact)} legs of at least {_LEAST_HINGES} hinges, expected {NUM_LEGS}:"
-            f" a gait needs a quadruped; feet=[...] names its feet, sought among {bodies}"
+            f" a gait needs a quadruped; give feet=[...], its feet (found bodies: {bodies})"
         )
     legs = sorted((_leg(robot, foot) for foot in feet), key=lambda leg: -leg.hip[0])
     front, rear = (sorted(pair, key=lambda leg: -leg.hip[1]) for pair in (legs[:2], legs[2:]))
@@ -120,7 +117,7 @@ def find_legs(robot: PreparedRobot) -> tuple[Leg, ...]:
 
 
 def _feet(model: mujoco.MjModel, names: Sequence[str]) -> list[int]:
-    """Return the last of the named bodies on each leg."""
+    """Return the last named body of each leg."""
     feet: dict[int, int] = {}
     for foot in sorted(model.body(name).id for name in names):
         chain = _chain(model, foot)
@@ -130,7 +127,7 @@ def _feet(model: mujoco.MjModel, names: Sequence[str]) -> list[int]:
 
 
 def _chain(model: mujoco.MjModel, foot: int) -> list[int]:
-    """Return the bodies from the trunk, which is left out, to a foot; [] of the trunk itself."""
+    """Return the bodies from the trunk (excluded) to a foot (included)."""
     trunk = (model.body_weldid[1], 0)
     chain = reversed(ancestors(model, foot))
     return [body for body in chain if model.body_weldid[body] not in trunk]
@@ -140,11 +137,11 @@ def _leg(robot: PreparedRobot, foot: int) -> Leg:
     model, name = robot.model, robot.model.body(foot).name
     joints = free_joints(model, _chain(model, foot))
     if any(model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE for joint in joints):
-        raise ConfigError(f"the leg of '{name}' has a ball joint; gaits are made for hinges")
+        raise ConfigError(f"the leg of '{name}' has a ball joint, expected hinges")
     if len(joints) > _MOST_HINGES:
         raise ConfigError(
             f"the leg of '{name}' has {len(joints)} hinges, expected at most {_MOST_HINGES}; name a"
-            " body further up with feet=[...]"
+            " body nearer to the trunk with feet=[...]"
         )
     centres, radii = find_sole(model, robot.start_qpos, name)
     data = posed(model, robot.start_qpos)
@@ -167,10 +164,9 @@ def _leg(robot: PreparedRobot, foot: int) -> Leg:
 
 
 class LegSolver:
-    """Solves the angles of a robot's legs, within the limits of their joints.
+    """Inverse kinematics of a robot's legs within their joint limits.
 
-    The first pose is near the robot's start pose; `knees` is one of `KNEES`, for legs that can bend
-    to both sides.
+    `knees`, one of `KNEES`, chooses the side of the knees for legs that can bend to both sides.
     """
 
     def __init__(self, robot: PreparedRobot, legs: tuple[Leg, ...], knees: str = KNEES[0]) -> None:
@@ -182,11 +178,10 @@ class LegSolver:
         self._ranges = np.where(limited, robot.model.jnt_range, (-math.pi, math.pi))
 
     def first_pose(self, root: FloatArray, places: FloatArray) -> npt.NDArray[np.float64]:
-        """Return the pose (nq,) nearest to the start pose that reaches the places.
+        """Return the pose (nq,) nearest to the start pose whose soles are at `places`.
 
-        Of bends to two sides that are about equally near, `knees` names one. `root` (7,) is the
-        trunk's position in m and quaternion wxyz; `places` (4, 3) m are of the legs' `sole` in the
-        world. Raises ConfigError if a foot cannot reach its place.
+        `root` (7,) is the trunk's position in m and quaternion wxyz; `places` (4, 3) m are world
+        positions. Raises ConfigError if a foot cannot reach its place.
         """
         pose = self._start.copy()
         pose[:7] = root
@@ -211,7 +206,7 @@ class LegSolver:
     def next_pose(
         self, last: FloatArray, root: FloatArray, places: FloatArray
     ) -> npt.NDArray[np.float64]:
-        """Return the pose (nq,) that reaches the places, found from the pose before."""
+        """Return the pose (nq,) whose soles are at `places`, searched from the last pose."""
         pose = np.array(last, dtype=np.float64)
         pose[:7] = root
         for leg, place in zip(self._legs, places, strict=True):
@@ -220,12 +215,12 @@ class LegSolver:
         return pose
 
     def soles(self, pose: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Place the followers of a pose; return where the legs' `sole` are (4, 3) m, world."""
+        """Set the follower joints of a pose; return the soles' world positions (4, 3) m."""
         self._set(pose)
         return np.stack([self._sole(leg) for leg in self._legs])
 
     def _set(self, pose: npt.NDArray[np.float64]) -> None:
-        """Compute a pose's followers, in place, and its kinematics."""
+        """Set the follower joints of a pose in place, and compute its kinematics."""
         pose[:] = self._followers.placed(pose)
         self._data.qpos[:] = pose
         mujoco.mj_kinematics(self._model, self._data)
@@ -235,10 +230,9 @@ class LegSolver:
         return self._data.xpos[leg.body] + self._data.xmat[leg.body].reshape(3, 3).dot(leg.sole)
 
     def _reach(self, pose: npt.NDArray[np.float64], leg: Leg, place: FloatArray) -> float:
-        """Turn a leg's joints until its sole is at a place; change `pose`, return the error in m.
+        """Move a leg's sole to a place by changing `pose`; return the remaining error in m.
 
-        A joint that meets its limit stays there for the rest of the step, the others go on. Hinges
-        to spare stay near the first pose, so that every stride is alike.
+        Redundant hinges stay near the first pose, which makes all strides equal.
         """
         joints = list(leg.joints)
         columns, dofs = self._model.jnt_qposadr[joints], self._model.jnt_dofadr[joints]
@@ -263,78 +257,55 @@ class LegSolver:
         return float(np.linalg.norm(place - self._sole(leg)))
 
     def _check(self, pose: npt.NDArray[np.float64], places: FloatArray) -> None:
-        """Place the followers of a pose and refuse a foot that does not reach its place."""
+        """Set the follower joints of a pose; raise a ConfigError if a foot misses its place."""
         for leg, place, sole in zip(self._legs, places, self.soles(pose), strict=True):
             error = float(np.linalg.norm(place - sole))
             if error > TOLERANCE_M:
                 raise ConfigError(
-                    f"the foot '{leg.foot}' stays {error:.3g} m away from where the gait wants it,"
+                    f"the foot '{leg.foot}' stays {error:.3g} m away from its target, which is"
                     f" {np.round(place - pose[:3], 3).tolist()} m from the trunk: its leg is too"
-                    " short, or a joint at its limit; change body_height, raise frequency, or lower"
-                    " speed or step_height"
+                    " short, or a joint is at its limit; change body_height, raise frequency, or"
+                    " lower speed or step_height"
                 )
 
 
 _log = logging.getLogger(__name__)
 
-_NEUTRAL_SHARE = 0.7  # of the legs' length, between hips and feet
+_NEUTRAL_SHARE = 0.7  # default height of the hips above the feet, as a share of the legs' length
 
 
-@dataclass(frozen=True)
-class _Pattern:
-    """When feet touch down, as shares of a stride: front left, front right, rear left, right.
-
-    As Hildebrand, "Symmetrical gaits of horses", Science 150 (1965); the walk is the lateral
-    sequence.
-    """
-
-    touch_down: tuple[float, float, float, float]
-    duty_factor: float
-
-
+# Gait -> phases of touch-down (front left, front right, rear left, rear right), duty factor.
+# Source: Hildebrand, "Symmetrical gaits of horses", Science 150 (1965).
 _PATTERNS = {
-    "trot": _Pattern((0.0, 0.5, 0.5, 0.0), 0.5),
-    "walk": _Pattern((0.25, 0.75, 0.0, 0.5), 0.75),
-    "pace": _Pattern((0.0, 0.5, 0.0, 0.5), 0.5),
+    "trot": ((0.0, 0.5, 0.5, 0.0), 0.5),
+    "walk": ((0.25, 0.75, 0.0, 0.5), 0.75),
+    "pace": ((0.0, 0.5, 0.0, 0.5), 0.5),
 }
 
 
 @dataclass(frozen=True, kw_only=True)
 class GaitSettings:
-    """Settings of the command."""
+    """Keys of the command; the module docstring describes them."""
 
     gait: str = setting("trot", choices=_PATTERNS)
-    """Order of the feet."""
     speed: float = setting(1.0, minimum=-10, maximum=10)
-    """Of the trunk along x, m/s."""
     frequency: float = setting(2.0, minimum=0.1, maximum=10)
-    """Strides per second."""
     duty_factor: float | None = setting(None, minimum=0.5, maximum=0.95)
-    """Share of a stride that a foot is on the ground; None: as usual for the gait."""
     step_height: float = setting(0.06, minimum=0, maximum=1)
-    """How high feet are lifted, m."""
     body_height: float | None = setting(None, above=0, maximum=5)
-    """Of the trunk's origin, m; None: the hips at 0.7 of the legs' length."""
     bounce: float = setting(0.0, minimum=0, maximum=0.5)
-    """How far the trunk rises above its height and sinks below it, m."""
     knees: str = setting(KNEES[0], choices=KNEES)
-    """Where knees are, of legs that can bend to both sides."""
     seconds: float = setting(4.0, above=0, maximum=120)
-    """Length of the clip; it becomes a whole number of strides."""
     fps: float = setting(60.0, minimum=1, maximum=240)
-    """Frames per second."""
     feet: tuple[str, ...] = setting(())
-    """Names or patterns of the feet's bodies; (): what touches the floor in the start pose."""
     start_rotation: tuple[float, ...] | None = setting(None, length=4)
-    """Rotation of the trunk, xyzw, with which the robot looks along x; None: as in its file."""
     overwrite: bool = setting(False)
-    """Whether an existing output is replaced."""
 
 
 def make_gait(robot: PreparedRobot, settings: GaitSettings, name: str = "gait") -> JointClip:
-    """Return whole strides straight ahead along x; the last frame is the first one's pose.
+    """Return a whole number of strides along x; the last pose equals the first.
 
-    Raises ConfigError if the robot has not four legs, a foot cannot reach its places, or a stride
+    Raises ConfigError if the robot has not four legs, a foot cannot reach its target, or a stride
     has fewer than four frames.
     """
     legs = find_legs(robot)
@@ -346,14 +317,14 @@ def make_gait(robot: PreparedRobot, settings: GaitSettings, name: str = "gait") 
             f"a stride has {per_stride:.3g} frames at fps={settings.fps:g}, expected at least 4;"
             " lower frequency, or raise fps"
         )
-    # Of the frames that a stride has, a touch-down may be between two.
+    # Phases count strides; a touch-down may lie between two frames.
     phases = np.arange(round(strides * per_stride) + 1) / per_stride
     period_s = per_stride / settings.fps
     root = _trunk(robot, legs, settings, phases, period_s)
     places = _foot_places(legs, settings, phases, period_s)
     standing = [(leg.hip[0], leg.neutral_y, leg.radius) for leg in legs]
     poses = [solver.first_pose(root[0], np.array(standing))]
-    # The stride before the clip's first one leads from standing into the gait.
+    # An additional first stride, which is not in the clip, leads from standing into the gait.
     lead_in = math.ceil(per_stride)
     for frame in (*range(lead_in), *range(len(phases))):
         poses.append(solver.next_pose(poses[-1], root[frame], places[frame]))
@@ -373,13 +344,13 @@ def _trunk(
     phases: FloatArray,
     period_s: float,
 ) -> npt.NDArray[np.float64]:
-    """Return the trunk's positions and quaternions wxyz (T, 7); it is highest at touch-downs."""
+    """Return the trunk's positions m and quaternions wxyz (T, 7), highest at touch-downs."""
     height = settings.body_height
     if height is None:
         heights = [_NEUTRAL_SHARE * leg.length + leg.radius - leg.hip[2] for leg in legs]
         height = float(np.mean(heights))
-    # How often feet touch down in a stride, together or alone.
-    beats = len(set(_PATTERNS[settings.gait].touch_down))
+    # Number of touch-downs in a stride; simultaneous touch-downs count once.
+    beats = len(set(_PATTERNS[settings.gait][0]))
     root = np.zeros((len(phases), 7))
     root[:, 0] = settings.speed * period_s * phases
     root[:, 2] = height + settings.bounce * np.cos(2.0 * np.pi * beats * phases)
@@ -390,16 +361,17 @@ def _trunk(
 def _foot_places(
     legs: tuple[Leg, ...], settings: GaitSettings, phases: FloatArray, period_s: float
 ) -> npt.NDArray[np.float64]:
-    """Return where the legs' soles are (T, 4, 3) m in the world, at strides (T,) since the start.
+    """Return the world positions (T, 4, 3) m of the soles at phases (T,) in strides.
 
-    In mid stance a foot is below its hip. It swings with no velocity and acceleration at both ends.
+    A foot is below its hip in mid stance. Its swing starts and ends without velocity and
+    acceleration.
     """
-    pattern = _PATTERNS[settings.gait]
-    duty = pattern.duty_factor if settings.duty_factor is None else settings.duty_factor
+    touch_downs, duty = _PATTERNS[settings.gait]
+    duty = duty if settings.duty_factor is None else settings.duty_factor
     stride_m = settings.speed * period_s
     places = np.zeros((len(phases), len(legs), 3))
-    for i, (leg, touch_down) in enumerate(zip(legs, pattern.touch_down, strict=True)):
-        # Shares of frames are sums of floats: what is a touch-down but for rounding is one.
+    for i, (leg, touch_down) in enumerate(zip(legs, touch_downs, strict=True)):
+        # Sums of floats miss a touch-down by a rounding error.
         since = np.round(phases - touch_down, 9)
         number = np.floor(since)
         swing = np.clip((since - number - duty) / (1.0 - duty), 0.0, 1.0)
@@ -419,7 +391,7 @@ def write_gait(source: str, out: str, settings: GaitSettings) -> Path:
         contact_bodies=settings.feet,
         key_bodies=settings.feet,
         start_rotation=settings.start_rotation,
-        start_pose={},  # legs as the file draws them: `knees` names the side to which they bend
+        start_pose={},  # the file's own pose; `knees` decides how the legs bend
     )
     robot = load_robot(source, of_robot)
     try:

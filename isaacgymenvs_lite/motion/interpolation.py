@@ -1,7 +1,6 @@
-"""States of clips between their frames: on splines through the poses, or as published.
+"""States of clips between their frames, on splines or by the published interpolation.
 
-All clips are concatenated in flat tensors, so that a call is a few gathers for any number of
-clips. Quaternions are xyzw.
+The tensors hold the frames of all clips, one after the other. Quaternions are xyzw.
 """
 
 from __future__ import annotations
@@ -21,8 +20,6 @@ from isaacgymenvs_lite.motion.qpos import BodyPoses, dofs_of_clip, joint_rotatio
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
 
-INTERPOLATIONS = ("spline", "published")
-
 
 class MotionState(NamedTuple):
     """States of n samples, float32 on the library's device; K key bodies."""
@@ -32,50 +29,36 @@ class MotionState(NamedTuple):
     dof_pos: Tensor  # (n, num_dofs) rad, rotation vectors of ball joints and angles of hinges
     root_vel: Tensor  # (n, 3) m/s, world
     root_ang_vel: Tensor  # (n, 3) rad/s, world
-    # (n, num_dofs) rad/s, rates of hinges' angles; of ball joints the angular velocity in the
-    # child's frame.
+    # (n, num_dofs) rad/s, rates of hinge angles, and ball joints' angular velocities (child frame)
     dof_vel: Tensor
     key_pos: Tensor  # (n, K, 3) m, world
 
 
 class Moments(NamedTuple):
-    """Times (n,) in clips: the frames before and after, among the frames of all clips.
+    """Times (n,) in clips, each between two frames."""
 
-    At the end of a clip both are the same. `blend` is the time since the first, in frames; it is
-    negative before the start of a clip. `frame_s` is the time between two frames in s.
-    """
-
-    row: Tensor
-    next_row: Tensor
-    blend: Tensor
-    frame_s: Tensor
+    row: Tensor  # the frame before, as a row among the frames of all clips
+    next_row: Tensor  # the frame after; equals `row` at the end of a clip
+    blend: Tensor  # time since `row`, in frames; negative before the start of a clip
+    frame_s: Tensor  # time between two frames, s
 
 
 class Frames:
-    """The frames of all clips of a library, on a device; subclasses interpolate between them.
+    """The frames of all clips, on a device; subclasses interpolate between them.
 
-    Joint groups are kept as rotations, or as angles, which may exceed pi.
-
-    Args:
-        clips: their bodies in the order of the skeleton.
-        skeleton: of the clips.
-        key_ids: K body ids.
-        device: of the tensors.
+    A joint is stored as a rotation, or as an angle, which may exceed pi. The bodies of the clips
+    are in the skeleton's order. `key_ids` are K body ids.
     """
 
     def __init__(
-        self,
-        clips: Sequence[MotionClip],
-        skeleton: Skeleton,
-        key_ids: Sequence[int],
-        device: torch.device,
+        self, skeleton: Skeleton, key_ids: Sequence[int], device: torch.device, with_angles: bool
     ) -> None:
         self._skeleton, self._device = skeleton, device
         self._key_ids = torch.tensor(list(key_ids), dtype=torch.long, device=device)
-        self._with_angles = self._keeps_angles(clips)
-        self._turned: list[int] = []  # groups that are kept as rotations
-        self._hinges: list[int] = []  # groups that are kept as angles
-        self._angles: list[int] = []  # their DOFs
+        self._with_angles = with_angles
+        self._turned: list[int] = []  # joint groups stored as rotations
+        self._hinges: list[int] = []  # joint groups stored as angles
+        self._angles: list[int] = []  # the DOFs of `_hinges`
         places = [0] * skeleton.num_dofs
         for group, (start, end) in enumerate(itertools.pairwise(skeleton.dof_offsets)):
             if self._with_angles and end - start == 1:
@@ -83,27 +66,16 @@ class Frames:
                 self._hinges.append(group)
                 self._angles.append(start)
                 continue
-            # Hinges kept as rotations are about y: the second of the three.
+            # Hinges that are stored as rotations have the axis y, the second component.
             components = range(3) if end - start == 3 else (1,)
             places[start:end] = [3 * len(self._turned) + i for i in components]
             self._turned.append(group)
         shift = 3 * len(self._turned)
-        # Where the DOFs are among the rotation vectors, which the angles follow.
+        # Each DOF's column in an array that holds all rotation vectors, then all angles.
         self._columns = [
             shift + place if dof in self._angles else place for dof, place in enumerate(places)
         ]
         self._dof_columns = torch.tensor(self._columns, device=device)
-
-    def _keeps_angles(self, clips: Sequence[MotionClip]) -> bool:
-        raise NotImplementedError
-
-    def states(self, at: Moments) -> MotionState:
-        """Return the states at n moments."""
-        raise NotImplementedError
-
-    def body_pos(self, at: Moments) -> Tensor:
-        """Return the world positions (n, J, 3) m of all bodies at n moments."""
-        raise NotImplementedError
 
     def _joint_poses(self, clip: MotionClip) -> tuple[FloatArray, FloatArray]:
         """Return the angles (T, H) rad and the rotations (T, R, 4) xyzw of a clip's joints."""
@@ -113,7 +85,7 @@ class Frames:
         dofs = dofs_of_clip(self._skeleton, clip)
         turns = joint_rotations(self._skeleton, dofs).numpy()[:, self._turned]
         angles = dofs[:, self._angles]
-        # Angles read off rotations are within pi.
+        # Angles computed from rotations are within pi and may jump.
         return (np.unwrap(angles, axis=0) if clip.dof_pos is None else angles), turns
 
     def _tensor(self, rows: Sequence[FloatArray]) -> Tensor:
@@ -121,13 +93,12 @@ class Frames:
 
 
 class PoseSplines(Frames):
-    """Cubic splines through the poses, twice continuously differentiable; velocities are theirs.
+    """Cubic splines through the poses; velocities are the splines' derivatives.
 
-    Splines go through the root's position, the angles of hinges, and the quaternions of the root
-    and of ball joints, which are scaled to unit length. They end "not-a-knot": no velocity is
-    assumed at the ends. Bodies are placed by the forward kinematics of the robot's model. Before
-    the start of a clip the pose goes on backwards at the first velocity; after the end the last
-    state is kept.
+    The splines interpolate the root position, the hinge angles, and the quaternions of the root and
+    the ball joints, which are then normalised. Their end condition is "not-a-knot", which assumes
+    no velocity. Forward kinematics of the robot's model places the bodies. The pose is extrapolated
+    at the first velocity before the start of a clip. The last state is kept after the end.
     """
 
     def __init__(
@@ -137,21 +108,18 @@ class PoseSplines(Frames):
         key_ids: Sequence[int],
         device: torch.device,
     ) -> None:
-        super().__init__(clips, skeleton, key_ids, device)
+        super().__init__(skeleton, key_ids, device, with_angles=True)
         self._bodies = BodyPoses(skeleton)
-        # (frames, 2, columns): values, and their changes from one frame to the next.
+        # (frames, 2, columns): values, and their slopes per frame.
         self._rows = self._tensor([self._rows_of(clip) for clip in clips])
 
-    def _keeps_angles(self, clips: Sequence[MotionClip]) -> bool:
-        return True
-
     def _rows_of(self, clip: MotionClip) -> FloatArray:
-        """Return (T, 2, columns): root position, angles of hinges, quaternions; their slopes."""
-        from scipy.interpolate import CubicSpline  # tasks without clips start sooner
+        """Return (T, 2, columns): root position, hinge angles and quaternions, and their slopes."""
+        from scipy.interpolate import CubicSpline  # tasks without clips do not need scipy
 
         angles, turns = self._joint_poses(clip)
         turns = np.concatenate((clip.local_rotation[:, :1], turns), axis=1).astype(np.float64)
-        # A quaternion and its negative are the same rotation; a spline needs neighbours.
+        # A quaternion and its negative are the same rotation; the signs must not jump.
         is_other_side = (turns[1:] * turns[:-1]).sum(axis=-1) < 0.0
         turns[1:] *= np.where(np.cumsum(is_other_side, axis=0) % 2 == 1, -1.0, 1.0)[..., None]
         parts = (clip.root_translation, angles, turns.reshape(clip.num_frames, -1))
@@ -168,7 +136,7 @@ class PoseSplines(Frames):
         turns, turn_rates = turns.unflatten(1, (-1, 4)), turn_rates.unflatten(1, (-1, 4))
         length = turns.norm(dim=-1, keepdim=True)
         turns, turn_rates = turns / length, turn_rates / length
-        # d/dt q = 1/2 w q, of the angular velocity w in the world, or 1/2 q w in the body's frame.
+        # dq/dt is 1/2 w q for the angular velocity w in the world frame, 1/2 q w in the body frame.
         inverse = rotations.quat_conjugate(turns)
         root_ang_vel = 2.0 * rotations.quat_mul(turn_rates[:, 0], inverse[:, 0])[:, :3]
         joint_rates = 2.0 * rotations.quat_mul(inverse[:, 1:], turn_rates[:, 1:])[..., :3]
@@ -193,7 +161,7 @@ class PoseSplines(Frames):
         """Return values (n, columns) and their rates per second."""
         before, slope = self._rows.index_select(0, at.row).unbind(1)
         after, next_slope = self._rows.index_select(0, at.next_row).unbind(1)
-        # At the end of a clip there is no next frame to go on to.
+        # A clip has no next frame at its end.
         blend = torch.where(at.next_row == at.row, 0.0, at.blend).unsqueeze(1)
         s = blend.clamp(0.0, 1.0)
         # Hermite's form of the cubic between two frames, and its derivative.
@@ -221,15 +189,15 @@ class PoseSplines(Frames):
 
 
 class PublishedFrames(Frames):
-    """Between frames as the AMP and ASE motion libraries.
+    """The interpolation of the AMP and ASE motion libraries.
 
-    Positions, key bodies among them, are interpolated linearly in the world and rotations as
-    rotations; before the start of a clip they are extrapolated from its first two frames.
-    Velocities are taken from the frame at or before a moment: of the root the stored ones, which
-    poselib has smoothed over frames, of the joints the differences to the next frame.
+    World positions are interpolated linearly and rotations by slerp. Positions and rotations are
+    extrapolated from the first two frames before the start of a clip. Velocities belong to the
+    frame at or before the time. The root has its stored velocities; joint velocities are
+    differences to the next frame.
 
-    Ball joints are kept as rotations. So are hinges of the shipped humanoids, as in the original;
-    hinges of other skeletons, and all if a clip has `dof_pos`, by their angles.
+    Ball joints and hinges of the shipped humanoids are stored as rotations, as in the original.
+    Hinges of other skeletons, or of clips with `dof_pos`, are stored as angles.
     """
 
     def __init__(
@@ -239,7 +207,9 @@ class PublishedFrames(Frames):
         key_ids: Sequence[int],
         device: torch.device,
     ) -> None:
-        super().__init__(clips, skeleton, key_ids, device)
+        has_dofs = any(clip.dof_pos is not None for clip in clips)
+        with_angles = has_dofs or not skeleton.has_simple_joints
+        super().__init__(skeleton, key_ids, device, with_angles)
         self._num_positions = 1 + len(key_ids)
         frames, body_pos = [], []
         for clip in clips:
@@ -248,15 +218,11 @@ class PublishedFrames(Frames):
             frames.append(self._rows_of(clip, positions[:, [0, *key_ids]]))
         self._rows, self._body_pos = self._tensor(frames), self._tensor(body_pos)
 
-    def _keeps_angles(self, clips: Sequence[MotionClip]) -> bool:
-        has_dofs = any(clip.dof_pos is not None for clip in clips)
-        return has_dofs or not self._skeleton.has_simple_joints
-
     def _rows_of(self, clip: MotionClip, positions: FloatArray) -> FloatArray:
-        """Return the frames (T, columns): positions, angles of joints, rotations, velocities.
+        """Return the frames (T, columns): positions, hinge angles, rotations, velocities.
 
-        `positions` (T, 1 + K, 3) m belong to the root and the key bodies. The rotations are the
-        root's and the joints', the velocities the root's and the DOFs'.
+        `positions` (T, 1 + K, 3) m belong to the root and the key bodies. Rotations and velocities
+        belong to the root, then to the joints.
         """
         angles, turns = self._joint_poses(clip)
         rates = np.diff(angles, axis=0) * clip.fps
@@ -308,7 +274,9 @@ class PublishedFrames(Frames):
         return torch.lerp(before, after, at.blend.view(-1, 1, 1))
 
 
-FRAMES: dict[str, type[Frames]] = dict(
-    zip(INTERPOLATIONS, (PoseSplines, PublishedFrames), strict=True)
-)
-"""The kinds of frames by their names in `task.env.clipInterpolation`."""
+FRAMES: dict[str, type[PoseSplines | PublishedFrames]] = {
+    "spline": PoseSplines,
+    "published": PublishedFrames,
+}
+"""The interpolations by their names in `task.env.clipInterpolation`."""
+INTERPOLATIONS = tuple(FRAMES)

@@ -1,7 +1,7 @@
-"""Forward kinematics and velocities of sequences of poses, in numpy arrays; results are float64.
+"""Forward kinematics and velocities of pose sequences; arrays are float64, quaternions xyzw.
 
-T frames, J bodies; quaternions xyzw; z up. The formulas are poselib's, whose files hold the
-same velocities (agreement with a real file: 3e-6 m/s, 1e-3 rad/s).
+The formulas are poselib's: velocities agree with a published file within 3e-6 m/s and 1e-3 rad/s.
+Shapes use T frames and J bodies.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from isaacgymenvs_lite.utils import rotations
 
 FloatArray = npt.NDArray[np.floating]
 
-# The filter of poselib's velocities: a Gaussian along time, sigma and reach in frames.
+# poselib filters velocities by a Gaussian along time; sigma and radius are in frames.
 _FILTER_SIGMA = 2.0
 _FILTER_RADIUS = 8
 
@@ -31,8 +31,8 @@ def forward_kinematics(
 
     Args:
         parent_indices: J body ids, -1 for the root, which comes first; parents before children.
-        local_translation: (J, 3) or (T, J, 3) m, offsets in the parent's frame; the root's are not
-            used.
+        local_translation: (J, 3) or (T, J, 3) m, offsets in the parent's frame; the root's offset
+            is not used.
         local_rotation: (T, J, 4), rotations relative to the parent.
         root_translation: (T, 3) m, world positions of the root.
     """
@@ -60,7 +60,7 @@ def local_rotations(parent_indices: Sequence[int], global_rotation: FloatArray) 
 def linear_velocities(positions: FloatArray, fps: float) -> FloatArray:
     """Return the smoothed velocities (T, J, 3) m/s of positions (T, J, 3) m, T >= 2.
 
-    Central differences (one-sided at the ends), then the Gaussian filter along time.
+    They are central differences (one-sided at the ends), smoothed by the Gaussian filter.
     """
     return _smooth(np.gradient(np.asarray(positions, dtype=np.float64), axis=0)) * fps
 
@@ -68,8 +68,8 @@ def linear_velocities(positions: FloatArray, fps: float) -> FloatArray:
 def angular_velocities(rotation: FloatArray, fps: float) -> FloatArray:
     """Return the smoothed world angular velocities (T, J, 3) rad/s of rotations (T, J, 4).
 
-    The rotation from each frame to the next; the last frame gets zero velocity (as in the files
-    of poselib), then the Gaussian filter along time.
+    The velocity of a frame is its rotation to the next frame; the last frame has zero velocity, as
+    in poselib's files. The Gaussian filter then smooths them.
     """
     turns = _tensor(rotation)
     steps = rotations.quat_mul(turns[1:], rotations.quat_conjugate(turns[:-1]))
@@ -79,12 +79,12 @@ def angular_velocities(rotation: FloatArray, fps: float) -> FloatArray:
 
 
 def joint_velocities(local_rotation: FloatArray, fps: float) -> FloatArray:
-    """Return the angular velocities (T, J, 3) rad/s of joints, in the child's frame, T >= 2.
+    """Return the unsmoothed angular velocities (T, J, 3) rad/s of joints, in the child's frame.
 
-    The rotation from each frame to the next, not smoothed; the last frame repeats the one before.
-    The arithmetic is the original's, in the precision of the data: for float32 rotations the
-    arc cosine of a number near 1 is off by up to 0.03 rad/s at 60 fps where a joint hardly rotates.
-    Joint velocities then agree with IsaacGymEnvs' to 3e-6 rad/s.
+    The velocity of a frame is its rotation to the next frame; the last frame repeats the velocity
+    before it (T >= 2). The arithmetic repeats IsaacGymEnvs' in the data's precision; results agree
+    within 3e-6 rad/s. In float32 at 60 fps its arc cosine is off by up to 0.03 rad/s for slow
+    joints.
     """
     local = torch.from_numpy(np.ascontiguousarray(local_rotation))
     if local.dtype != torch.float32:
@@ -101,7 +101,7 @@ def world_points(
 ) -> FloatArray:
     """Return the world positions (T, K, 3) m of points (K, 3) m in the frames of K bodies.
 
-    Positions (T, J, 3) m and rotations (T, J, 4) of all bodies are in the world.
+    `positions` (T, J, 3) m and `rotation` (T, J, 4) are the world poses of all bodies.
     """
     ids = list(body_ids)
     turns = _tensor(rotation)[:, ids]
@@ -119,7 +119,7 @@ def _canonical(q: torch.Tensor) -> torch.Tensor:
 
 
 def _smooth(x: FloatArray) -> FloatArray:
-    """Filter x (T, ...) along time with the Gaussian; beyond the ends, with the end values."""
+    """Filter x (T, ...) along time with the Gaussian; the end values continue beyond the ends."""
     reach = np.arange(-_FILTER_RADIUS, _FILTER_RADIUS + 1)
     weights = np.exp(-0.5 * (reach / _FILTER_SIGMA) ** 2)
     weights /= weights.sum()

@@ -1,4 +1,4 @@
-"""Reads clips by the name of a motion file, in any of the formats."""
+"""Reads motion files of all formats: clips and data sets of clips."""
 
 from __future__ import annotations
 
@@ -16,11 +16,7 @@ from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError, listed, suggest
 from isaacgymenvs_lite.motion.clip import MotionClip, QuatOrder
 from isaacgymenvs_lite.motion.formats import deepmimic
-from isaacgymenvs_lite.motion.formats.deepmimic import (
-    PREFIX,
-    find_in_package,
-    is_package_name,
-)
+from isaacgymenvs_lite.motion.formats.deepmimic import PREFIX, find_in_package, is_package_name
 from isaacgymenvs_lite.motion.formats.files import read_json, reading
 from isaacgymenvs_lite.motion.formats.joint_csv import load_joint_csv
 from isaacgymenvs_lite.motion.formats.npz import load_npz
@@ -51,19 +47,19 @@ from isaacgymenvs_lite.utils.yaml_file import load_yaml
 
 _log = logging.getLogger(__name__)
 
-# What to do with a clip of a robot, and with one of a humanoid, where the other is expected.
+# Advice for a robot's clip where a humanoid's is expected, and the reverse.
 ROBOT_HINT = "a clip of a robot needs task=RobotAMP in training, robot=FILE in the clip commands"
 RETARGET_HINT = "retarget it with isaacgymenvs-lite convert IN OUT.npz robot=FILE"
-# Offsets in files are rounded to 1e-4 m; beyond this the clip was made for another body.
+# Files round offsets to 1e-4 m; a larger difference shows a clip of another body.
 _OFFSET_TOLERANCE_M = 0.01
-# A knee or elbow that turns this far out of its axis (0.6 deg) loses visible motion.
+# A knee or elbow that rotates this far (0.6 deg) out of its axis loses visible motion.
 _HINGE_TOLERANCE_RAD = 0.01
-# Between frames, coordinates and poses that were interpolated each for itself differ by less.
+# Interpolation makes joint coordinates and poses differ by less than this.
 _DOF_TOLERANCE_RAD = 0.05
-# Beyond any recorded person; a clip in centimetres, or one with frames that are missing, is.
+# Motion of people stays below these values; clips in centimetres exceed them.
 _USUAL_PLACE_M, _USUAL_SPEED_M_S, _USUAL_SPEED_RAD_S = 1_000.0, 60.0, 300.0
 _DATASET_SUFFIXES = (".yaml", ".yml")
-# Tried in this order behind a name without suffix.
+# The suffixes that are appended to a name without suffix, in this order.
 _GUESSED_SUFFIXES = (".npz", ".npy", ".yaml", ".json")
 _CONVERT = "isaacgymenvs-lite convert IN.bvh OUT.npz"
 _EXAMPLE = 'expected `motions:` with a list of `- {file: "clip.npz", weight: 0.5}`'
@@ -71,36 +67,36 @@ _EXAMPLE = 'expected `motions:` with a list of `- {file: "clip.npz", weight: 0.5
 
 @dataclass(frozen=True)
 class JointFileSettings:
-    """What a user says about a file of a robot's joint coordinates."""
+    """A user's settings for a file of a robot's joint coordinates."""
 
     fps: float | None = None
-    """Frames per second of a table without a rate; None: as usual for its form."""
+    """Frames per second of a table without a rate; None uses the default of its form."""
     quat_order: QuatOrder | None = None
-    """Of the file's quaternions; None: see `read_joint_clip`."""
+    """Order of the file's quaternions; None: see `read_joint_clip`."""
     by_order: bool = False
-    """The order of the joints counts, not their names."""
+    """Whether joints are matched by their order instead of their names."""
 
 
 _AS_IN_THE_FILE = JointFileSettings()
 
 
 def shipped_motions_dir() -> Path:
-    """Return the folder of the clips that come with the project."""
+    """Return the folder of the shipped humanoid clips."""
     return paths.assets_dir() / "amp" / "motions"
 
 
 def shipped_robot_motions_dir() -> Path:
-    """Return the folder of the robots' clips that come with the project."""
+    """Return the folder of the shipped robot clips."""
     return paths.assets_dir() / "amp" / "robot_motions"
 
 
 def shipped_motions() -> list[str]:
-    """Return the names, without suffix, of the clips that come with the project."""
+    """Return the names, without suffix, of the shipped humanoid clips."""
     return _clips_in(shipped_motions_dir())
 
 
 def shipped_robot_motions() -> list[str]:
-    """Return the names, without suffix, of the robots' clips that come with the project."""
+    """Return the names, without suffix, of the shipped robot clips."""
     return _clips_in(shipped_robot_motions_dir())
 
 
@@ -111,38 +107,34 @@ def _clips_in(folder: Path) -> list[str]:
 def load_clips(
     motion_file: str | Path, skeleton: Skeleton | None = None
 ) -> list[tuple[MotionClip, float]]:
-    """Read a clip, or all clips of a data set, each with its weight >= 0.
+    """Read a clip or all clips of a data set; return each clip with its weight (at least 0).
 
     Args:
         motion_file: a path (absolute or relative to the working directory), the name of a shipped
-            clip, or `deepmimic:<name>`. `.yaml` and some names of DeepMimic's are data sets, all
-            others are clips: `.npz`, `.npy` and `.json` of poselib, `.txt` and `.json` of
-            DeepMimic, `.csv` of joint angles, and files of robots' joint coordinates
-            (`formats.robot_clip`), of which `.pkl` and `.npy` may hold several motions of equal
-            weight: `FILE:MOTION` is one of them.
-        skeleton: the humanoid; the bodies of the clips are reordered to match it. By default the
-            one with 28 degrees of freedom.
+            clip, or `deepmimic:<name>`. A `.yaml` file is a data set. The clip formats are `.npz`,
+            `.npy` and `.json` (poselib), `.txt` and `.json` (DeepMimic), `.csv` (joint angles), and
+            robots' joint coordinates (`formats.robot_clip`). A `.pkl` or `.npy` of a robot may hold
+            several motions, which get equal weights; `FILE:MOTION` selects one.
+        skeleton: the clips' skeleton, by default the humanoid with 28 degrees of freedom. The
+            bodies of the clips are reordered to match it.
 
     Raises:
-        MotionFileError: a file is missing, is none of these formats, is not valid, or is of
-            another humanoid.
+        MotionFileError: a file is missing or not valid, or belongs to another humanoid.
     """
     skeleton = skeleton or skeleton_for_num_dofs(28)
     found = resolve_motion_file(motion_file)
     if Path(found).suffix not in _DATASET_SUFFIXES:
         return [(clip, weight) for clip, _, weight in _load(found, (skeleton,))]
-    # Each file of a data set is read once.
     clips: list[tuple[MotionClip, float]] = []
-    known: dict[str, list[tuple[MotionClip, Skeleton, float]]] = {}
+    loaded: dict[str, list[tuple[MotionClip, Skeleton, float]]] = {}
     for i, entry in enumerate(read_dataset(found)):
         try:
-            if entry.file not in known:
-                known[entry.file] = _load(
-                    resolve_motion_file(entry.file, [Path(found).parent]), (skeleton,)
-                )
+            if entry.file not in loaded:
+                file = resolve_motion_file(entry.file, [Path(found).parent])
+                loaded[entry.file] = _load(file, (skeleton,))
         except MotionFileError as error:
             raise MotionFileError(f"{found}: motions[{i}]: {error}") from error
-        clips.extend((clip, entry.weight * weight) for clip, _, weight in known[entry.file])
+        clips.extend((clip, entry.weight * weight) for clip, _, weight in loaded[entry.file])
     return clips
 
 
@@ -151,13 +143,13 @@ def load_single_clip(
     skeletons: Sequence[Skeleton] = (),
     joint_file: JointFileSettings = _AS_IN_THE_FILE,
 ) -> tuple[MotionClip, Skeleton]:
-    """Read one clip of any of the humanoids, or of a robot; return it with its skeleton.
+    """Read one clip of a humanoid or a robot; return it with its skeleton.
 
     Args:
-        motion_file: as in `load_clips`, but no data set.
-        skeletons: those that the clip may belong to, by default all shipped humanoids. A robot's
-            file of joint coordinates is read for the first, DeepMimic's for the first humanoid.
-        joint_file: about a file of joint coordinates.
+        motion_file: a clip, see `load_clips`; a data set is refused.
+        skeletons: the possible skeletons of the clip, by default all shipped humanoids. Robots'
+            joint coordinates belong to the first skeleton, DeepMimic's clips to the first humanoid.
+        joint_file: settings for a file of joint coordinates.
     """
     skeletons = skeletons or [skeleton_for_num_dofs(number) for number in SHIPPED_NUM_DOFS]
     found = resolve_motion_file(motion_file)
@@ -172,10 +164,11 @@ def load_single_clip(
 
 
 def resolve_motion_file(name: str | Path, folders: Sequence[Path] = (Path(),)) -> str:
-    """Return the path of a motion file, whose suffix may be left out; a name in the package stays.
+    """Return the path of a motion file, whose suffix may be left out.
 
-    A relative path is sought in the folders and among the shipped clips. `FILE:MOTION` is returned
-    with the motion. Raises MotionFileError if there is none.
+    A relative path is looked up in the folders and among the shipped clips. The motion of
+    `FILE:MOTION` and names like `deepmimic:walk` are kept. Raises MotionFileError if no file is
+    found.
     """
     if is_package_name(name):
         return str(name)
@@ -198,12 +191,10 @@ def resolve_motion_file(name: str | Path, folders: Sequence[Path] = (Path(),)) -
 
 
 def _humanoid_of(skeletons: Sequence[Skeleton], motion_file: str | Path) -> Skeleton:
-    """Return the first humanoid that has the bodies and joints of DeepMimic's clips.
-
-    Robots may have the same bodies, as dm_control's humanoid, with other joints.
-    """
+    """Return the first humanoid that has the bodies and joints of DeepMimic's clips."""
     for skeleton in skeletons:
         has_bodies = set(deepmimic.MOVED_BODIES) <= set(skeleton.body_names)
+        # dm_control's humanoid has these bodies with other joints.
         if has_bodies and skeleton.has_simple_joints:
             return skeleton
     raise MotionFileError(f"{motion_file}: is a DeepMimic clip of the humanoid; {RETARGET_HINT}")
@@ -212,7 +203,7 @@ def _humanoid_of(skeletons: Sequence[Skeleton], motion_file: str | Path) -> Skel
 def _load(
     found: str, skeletons: Sequence[Skeleton], joint_file: JointFileSettings = _AS_IN_THE_FILE
 ) -> list[tuple[MotionClip, Skeleton, float]]:
-    """Read what `resolve_motion_file` found: clips, their skeletons, and weights whose sum is 1."""
+    """Read a resolved motion file: return clips, their skeletons, and weights whose sum is 1."""
     if is_package_name(found):
         humanoid = _humanoid_of(skeletons, found)
         return [
@@ -221,15 +212,15 @@ def _load(
         ]
     path = Path(found)
     suffix = Path(split_motion(path)[0]).suffix
-    # A robot's joints may have the names of the humanoid's.
+    # A robot's joints may have the humanoid's names.
     is_robots = suffix == ".csv" and not skeletons[0].has_simple_joints
     if is_robots or looks_like_joint_clip(path):
         clips = _clips_of_joints(path, skeletons[0], joint_file)
         return [(clip, skeletons[0], 1.0 / len(clips)) for clip in clips]
     if joint_file != _AS_IN_THE_FILE:
         raise MotionFileError(
-            f"{path}: is no robot's file of joint coordinates, which is what file_fps=, quat_order="
-            " and by_order= are about; leave them out"
+            f"{path}: holds no joint coordinates of a robot; leave out file_fps=, quat_order= and"
+            " by_order="
         )
     readers: dict[str, Callable[[Path], MotionClip]] = {
         ".npz": load_npz,
@@ -281,24 +272,21 @@ def _clips_of_joints(
 
 
 def _load_json(path: Path, skeletons: Sequence[Skeleton]) -> MotionClip:
-    """Read a `.txt` or `.json` clip: DeepMimic's holds 'Frames', poselib's '__name__'."""
+    """Read a `.txt` or `.json` clip of DeepMimic (it has 'Frames') or poselib."""
     data = read_json(path)
     if "Frames" in data or path.suffix == ".txt":
-        deepmimic.check_columns(data, str(path))
         return deepmimic.clip_from_deepmimic(data, _humanoid_of(skeletons, path), str(path))
     return clip_from_poselib(data, str(path))
 
 
 @dataclass(frozen=True)
 class _Dataset:
-    """The file."""
-
     motions: list[Any] = setting(min_length=1)
 
 
 @dataclass(frozen=True)
 class DatasetEntry:
-    """One clip of a data set: its file as written there, and its weight (not normalised)."""
+    """One clip of a data set: its file as written in the data set, and its unnormalised weight."""
 
     file: str = setting()
     weight: float = setting(minimum=0, maximum=1e12)
@@ -327,10 +315,9 @@ def read_dataset(path: str | Path) -> list[DatasetEntry]:
 def fit_to_skeleton(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
     """Return the clip with its bodies in the order of `skeleton`.
 
-    Logs a warning when hinge joints (knees, elbows) rotate about other axes than their own, as that
-    part of the motion is dropped, when the clip was made for a body of other dimensions, when joint
-    coordinates and poses disagree, and when it is faster, or farther away, than people are. Raises
-    MotionFileError if it is a clip of another skeleton.
+    A warning names rotations of hinges about other axes (they are dropped), limbs of other lengths,
+    joint coordinates that contradict the poses, and implausible positions and speeds. Raises
+    MotionFileError for a clip of another skeleton.
     """
     _refuse_other_bodies(clip, skeleton)
     clip = _reorder(clip, skeleton)
@@ -367,7 +354,7 @@ def _refuse_other_bodies(clip: MotionClip, skeleton: Skeleton) -> None:
 
 
 def _reorder(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
-    """Sort the bodies by name and check that they are connected as in the skeleton."""
+    """Reorder the bodies and check that each has the same parent as in the skeleton."""
     order = [clip.body_names.index(name) for name in skeleton.body_names]
     for body, name in enumerate(skeleton.body_names):
         parent = _parent_name(clip.body_names, clip.parent_indices[order[body]])
@@ -380,9 +367,8 @@ def _reorder(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
         return clip
     if clip.dof_pos is not None:
         raise MotionFileError(
-            f"{clip.name}: its bodies have another order than the model's, so that its joint"
-            " coordinates (dof_pos) belong to other joints; expected "
-            + ", ".join(skeleton.body_names)
+            f"{clip.name}: the order of its bodies differs from the model's, but its joint"
+            " coordinates (dof_pos) need the same order; expected " + ", ".join(skeleton.body_names)
         )
     _log.info("%s: bodies reordered as in the humanoid", clip.name)
     return dataclasses.replace(
@@ -401,17 +387,17 @@ def _parent_name(names: tuple[str, ...], parent: int) -> str:
 
 
 def _warn_of_other_offsets(clip: MotionClip, skeleton: Skeleton) -> None:
-    # The root's offset does not count: it is only the position of the character in its file.
+    # The root's offset is only the character's position in its file.
     difference = np.linalg.norm(clip.local_translation - skeleton.local_translation, axis=-1)
-    # Bodies whose joints are beside their origins move in their parents.
+    # A body whose joint is not at its origin moves in its parent.
     anchored = np.array(skeleton.dof_body_ids, dtype=int)[skeleton.joint_anchors.any(axis=1)]
     difference[..., anchored] = 0.0
     difference = difference.reshape(-1, skeleton.num_bodies).max(axis=0)[1:]
     if difference.max() > _OFFSET_TOLERANCE_M:
         body = int(difference.argmax()) + 1
         _log.warning(
-            "%s: made for a body of other dimensions: the offset of '%s' differs by %.3f m from "
-            "the humanoid's; feet may sink or slide",
+            "%s: was made for a body of other dimensions; the offset of '%s' differs by %.3f m "
+            "from the humanoid's, and feet may sink or slide",
             clip.name,
             skeleton.body_names[body],
             difference[body - 1],
@@ -440,15 +426,15 @@ def _warn_of_hinge_violation(clip: MotionClip, skeleton: Skeleton) -> None:
     if not groups:
         return
     hinges = [skeleton.dof_body_ids[group] for group in groups]
-    # The part of the quaternion's vector across the axis is the sine of half the angle between the
-    # axis and its image.
+    # The part of the quaternion's vector across the axis has the length sin(angle / 2), where the
+    # angle is between the axis and the rotated axis.
     off_axis = np.linalg.norm(np.cross(turns[:, hinges, :3], skeleton.joint_axes[groups]), axis=-1)
     frame, hinge = (int(i) for i in np.unravel_index(off_axis.argmax(), off_axis.shape))
     angle_rad = 2.0 * math.asin(min(float(off_axis[frame, hinge]), 1.0))
     if angle_rad > _HINGE_TOLERANCE_RAD:
         _log.warning(
-            "%s: '%s' is a hinge about %s but turns %.3f rad out of that axis in frame %d; "
-            "that part of the motion is dropped",
+            "%s: '%s' is a hinge about %s but rotates %.3f rad out of that axis in frame %d; "
+            "this part of the motion is dropped",
             clip.name,
             skeleton.body_names[hinges[hinge]],
             "({:.3g}, {:.3g}, {:.3g})".format(*skeleton.joint_axes[groups[hinge]]),
@@ -458,14 +444,14 @@ def _warn_of_hinge_violation(clip: MotionClip, skeleton: Skeleton) -> None:
 
 
 def _check_dofs(clip: MotionClip, dofs: FloatArray, skeleton: Skeleton) -> None:
-    """Refuse joint coordinates of another number; warn where they give other poses."""
+    """Refuse a wrong number of joint coordinates; warn if they contradict the poses."""
     if dofs.shape[1] != skeleton.num_dofs:
         raise MotionFileError(
             f"{clip.name}: dof_pos has {dofs.shape[1]} columns, expected the {skeleton.num_dofs} "
             f"degrees of freedom of the model: {', '.join(skeleton.dof_names)}"
         )
     turns = rotations_from_dofs(skeleton, clip.local_rotation[:, 0], dofs)
-    # |a - b| or |a + b| of unit quaternions is 2 sin(angle / 4), angle from one to the other.
+    # |a - b| or |a + b| of unit quaternions a and b is 2 sin(angle between them / 4).
     stored = np.asarray(clip.local_rotation, dtype=np.float64)
     sines = [np.linalg.norm(turns + sign * stored, axis=-1) / 2.0 for sign in (-1.0, 1.0)]
     difference = 4.0 * np.arcsin(np.minimum(*sines).clip(max=1.0))

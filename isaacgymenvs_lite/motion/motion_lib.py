@@ -1,7 +1,6 @@
-"""The motion library: states of reference clips at any time, in batches on the device.
+"""The motion library: batches of reference states from clips at any time.
 
-Clips are sampled, and times found among their frames, as in the motion libraries of AMP and ASE;
-`interpolation` has what is between frames. Quaternions xyzw.
+Sampling follows the motion libraries of AMP and ASE. Quaternions are xyzw.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.interpolation import FRAMES, Frames, Moments, MotionState
+from isaacgymenvs_lite.motion.interpolation import FRAMES, Moments, MotionState
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.plausibility import (
     bodies_on_ground,
@@ -31,10 +30,10 @@ __all__ = ["MotionLib", "MotionState"]
 
 _log = logging.getLogger(__name__)
 
-# The time of a frame, rounded to float32, must not pick the frame before: its velocities differ.
+# A frame's time, rounded to float32, must not select the frame before: its velocities differ.
 _TIME_ROUNDING = 1.0 + 1e-7
 
-# The motion at a time is what bodies move in so many seconds; times are drawn from bins.
+# The motion at a time is the bodies' distance over `_MOTION_S`; times are sampled by bins.
 _MOTION_S, _MOTION_BIN_S = 0.1, 1.0 / 30.0
 _LEAST_MOTION_M = 1e-6
 
@@ -47,22 +46,21 @@ class MotionLib:
 
     Args:
         motion_file: a clip or a data set, see `loader.load_clips`.
-        num_dofs: degrees of freedom, which determine the skeleton of a shipped humanoid.
+        num_dofs: degrees of freedom, which select a shipped humanoid.
         key_body_ids: K body ids whose positions `get_motion_state` returns.
-        device: of the tensors.
-        repair_repeated_frames: drop the copies in clips that store every pose twice.
-        skeleton: the robot, if it is none of the shipped humanoids.
-        interpolation: `published`, or `spline`, which tasks use; see `interpolation`.
-        ground: put the lowest points of each clip on the ground, see `plausibility.put_on_ground`.
+        device: device of the tensors.
+        repair_repeated_frames: whether copies are dropped from clips that store every pose twice.
+        skeleton: the skeleton of a robot that is no shipped humanoid.
+        interpolation: `published` or `spline`, see `interpolation`. Tasks use `spline`.
+        ground: whether the lowest points of each clip are put on the ground.
 
     Attributes:
-        skeleton: of the clips.
-        implausible: what no body does, by the names of the clips that do it.
+        skeleton: the skeleton of the clips.
+        implausible: descriptions of implausible motion by the names of the clips.
 
     Raises:
         MotionFileError: a clip cannot be used.
-        ConfigError: no such skeleton, a key body that it does not have, or an unknown
-            interpolation.
+        ConfigError: the skeleton, a key body or the interpolation does not exist.
     """
 
     def __init__(
@@ -98,9 +96,16 @@ class MotionLib:
         if ground:
             self._clips = [put_on_ground(clip, self.skeleton) for clip in self._clips]
         self.implausible = warn_of_implausible(self._clips, self.skeleton)
-        self._build_motion_table([weight for _, weight in clips_and_weights])
-        make: type[Frames] = FRAMES[interpolation]
-        self._frames = make(self._clips, self.skeleton, key_ids, self.device)
+        cumulative = np.cumsum([weight for _, weight in clips_and_weights], dtype=np.float64)
+        self._cumulative_weights = torch.from_numpy(cumulative / cumulative[-1]).to(self.device)
+        num_frames = np.array([clip.num_frames for clip in self._clips])
+        first_rows = np.cumsum(num_frames) - num_frames
+        lengths_s = [clip.length_s for clip in self._clips]
+        frame_times_s = [1.0 / clip.fps for clip in self._clips]
+        table = np.stack((first_rows, num_frames - 1, lengths_s, frame_times_s), axis=-1)
+        self._motions = torch.from_numpy(table).to(self.device)
+        self._lengths_s = self._motions[:, 2].float()
+        self._frames = FRAMES[interpolation](self._clips, self.skeleton, key_ids, self.device)
 
     def num_motions(self) -> int:
         """Return the number of clips."""
@@ -111,35 +116,35 @@ class MotionLib:
         return sum(clip.length_s for clip in self._clips)
 
     def fastest_clip_m_s(self) -> float:
-        """Return the mean speed of the root along the ground, of the clip where it is highest."""
+        """Return the largest mean horizontal speed of the root in a clip, m/s."""
         velocities = (clip.linear_velocity_w[:, 0, :2] for clip in self._clips)
         return max(float(np.linalg.norm(v, axis=-1).mean()) for v in velocities)
 
     def bodies_on_ground(self) -> list[str]:
-        """Return the bodies that touch the ground in the clips, see `plausibility`."""
+        """Return the names of the bodies that touch the ground in the clips."""
         return bodies_on_ground(self._clips, self.skeleton)
 
     def get_motion(self, motion_id: int) -> MotionClip:
-        """Return a clip, with its bodies in the order of the humanoid."""
+        """Return a clip, with its bodies in the order of the skeleton."""
         return self._clips[motion_id]
 
     def motion_weights(self) -> Tensor:
-        """Return how often each clip is drawn (M,), sum 1."""
+        """Return the sampling probability of each clip (M,)."""
         return torch.diff(self._cumulative_weights, prepend=self._cumulative_weights.new_zeros(1))
 
     def get_motion_length(self, motion_ids: _Ids) -> Tensor:
-        """Return the durations (n,) of clips (n,), (frames - 1) / fps, in s."""
+        """Return the durations (n,) of clips (n,) in s: (frames - 1) / fps."""
         return self._lengths_s[torch.as_tensor(motion_ids, dtype=torch.long, device=self.device)]
 
     def sample_motions(self, n: int) -> Tensor:
-        """Return n clip ids (n,), drawn by weight with replacement from torch's generator."""
+        """Return clip ids (n,), sampled by weight with replacement from torch's generator."""
         uniform = torch.rand(n, device=self.device, dtype=torch.float64)
         return torch.searchsorted(self._cumulative_weights, uniform, right=True)
 
     def sample_time(self, motion_ids: _Ids, truncate_time: float | None = None) -> Tensor:
-        """Return random times (n,) s in the clips (n,), not in their last `truncate_time` s.
+        """Return random times (n,) s in the clips (n,), outside their last `truncate_time` s.
 
-        Clips that are shorter give time 0.
+        Shorter clips give time 0.
         """
         lengths = self.get_motion_length(motion_ids)
         if truncate_time is not None:
@@ -149,14 +154,14 @@ class MotionLib:
         return torch.rand_like(lengths) * lengths
 
     def sample_moving_time(self, motion_ids: _Ids) -> Tensor:
-        """Return random times (n,) s in the clips (n,), in proportion to the motion at each time.
+        """Return random times (n,) s in the clips (n,) with a density proportional to the motion.
 
-        The motion is the mean distance that the bodies go in a tenth of a second. A clip that does
-        not move gives all its times alike.
+        The motion is the mean distance of the bodies in 0.1 s. The times of a clip without motion
+        are uniform.
         """
         ids = torch.as_tensor(motion_ids, dtype=torch.long, device=self.device)
         cumulative, first_bins, widths_s = self._motion_bins
-        # The cumulative motion of clip k goes from k to k + 1.
+        # The cumulative motion of clip k rises from k to k + 1.
         wanted = ids + torch.rand(len(ids), device=self.device, dtype=torch.float64)
         bins = torch.searchsorted(cumulative, wanted, right=True) - first_bins[ids]
         within = torch.rand(len(ids), device=self.device)
@@ -165,7 +170,7 @@ class MotionLib:
 
     @functools.cached_property
     def _motion_bins(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Cumulative motion of all clips (B,), the first bin (M,) of each, widths (M,) s."""
+        """Cumulative motion (B,) over all bins, each clip's first bin (M,), bin widths (M,) s."""
         cumulative, counts, widths_s = [], [], []
         for motion_id, length_s in enumerate(self._lengths_s.tolist()):
             count = max(1, round(length_s / _MOTION_BIN_S))
@@ -186,17 +191,16 @@ class MotionLib:
     def get_motion_state(self, motion_ids: _Ids, motion_times: _Times) -> MotionState:
         """Return the states of clips (n,) at times (n,) in s.
 
-        Before the start of a clip the state goes on backwards, after its end the last pose is
-        returned; see `interpolation.PoseSplines` and `PublishedFrames`.
+        The state is extrapolated before the start of a clip. The last pose is kept after its end.
         """
         return self._frames.states(self._moments(motion_ids, motion_times))
 
     def get_body_pos(self, motion_ids: _Ids, motion_times: _Times) -> Tensor:
-        """Return the world positions (n, J, 3) m of all bodies, of the poses between frames."""
+        """Return the world positions (n, J, 3) m of all bodies of clips (n,) at times (n,) in s."""
         return self._frames.body_pos(self._moments(motion_ids, motion_times))
 
     def _moments(self, motion_ids: _Ids, motion_times: _Times) -> Moments:
-        """Find times (n,) s among the frames of clips (n,)."""
+        """Find the frames before and after times (n,) s of clips (n,)."""
         ids = torch.as_tensor(motion_ids, dtype=torch.long, device=self.device)
         times = torch.as_tensor(motion_times, dtype=torch.float64, device=self.device)
         start, last, length, dt = self._motions.index_select(0, ids).unbind(-1)
@@ -206,21 +210,9 @@ class MotionLib:
         next_row = start + torch.minimum(first + 1.0, last)
         return Moments(row.long(), next_row.long(), blend.float(), dt.float())
 
-    def _build_motion_table(self, weights: Sequence[float]) -> None:
-        """Make the per-clip tensors: first row, last frame, length, frame time; sampling."""
-        cumulative = np.cumsum(np.asarray(weights, dtype=np.float64))
-        self._cumulative_weights = torch.from_numpy(cumulative / cumulative[-1]).to(self.device)
-        num_frames = np.array([clip.num_frames for clip in self._clips])
-        first_rows = np.cumsum(num_frames) - num_frames
-        lengths_s = [clip.length_s for clip in self._clips]
-        frame_times_s = [1.0 / clip.fps for clip in self._clips]
-        table = np.stack((first_rows, num_frames - 1, lengths_s, frame_times_s), axis=-1)
-        self._motions = torch.from_numpy(table).to(self.device)
-        self._lengths_s = self._motions[:, 2].float()
-
 
 def _without_copies(clip: MotionClip, repair: bool) -> MotionClip:
-    """Drop frames that are stored twice, or log a warning."""
+    """Drop frames that are stored twice if `repair`, else log a warning."""
     if clip.find_repeated_frames() is None:
         return clip
     if not repair:

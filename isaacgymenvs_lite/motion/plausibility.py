@@ -1,7 +1,7 @@
-"""Finds in a clip what no body does: ground, flight, joint limits, and how it starts and ends.
+"""Finds motion in a clip that no body can perform and no policy can imitate.
 
-A policy cannot imitate it, and a run may fail for that alone. A clip is used all the same: its
-owner decides, by the line that `warn_of_implausible` logs.
+The checks concern the ground, flight, joint limits, and the start and end of a clip.
+`warn_of_implausible` logs the results; the clip is used in any case.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ from isaacgymenvs_lite.utils.rotations import rotate_components
 _log = logging.getLogger(__name__)
 
 GROUND_QUANTILE = 0.05
-"""Of the lowest points of all frames, the one that belongs on the ground. The very lowest may be a
-toe that one frame puts too deep."""
+"""The ground's height is this quantile of the frames' lowest points, which ignores outliers."""
 _DEEP_M, _HIGH_M = 0.03, 0.03
 _IN_AIR_M = 0.1  # recorded walks have feet 8 cm above the ground
-# Of the height of the centre of mass (3 cm of a human), and of the frames.
+# A body in contact is lower than this share of the centre of mass' usual height (3 cm for a human)
+# in at least this share of the frames.
 _TOUCH, _TOUCH_SHARE = 0.033, 0.02
-# Where the centre of mass is lower than this share of its usual height, a body rolls or lies.
+# A body rolls or lies if its centre of mass is below this share of the usual height.
 _LOW_MASS = 0.45
 _GRAVITY_M_S2 = 9.81
-# Of a fall in which the body's shape changes; recorded jumps have 9.6 to 10.8 m/s^2.
+# Recorded jumps fall at 9.6 to 10.8 m/s^2 because the body's shape changes.
 _FALL_TOLERANCE_M_S2 = 1.2
 _FALL_MISFIT_M = 0.02
 _HOVERING_M_S2 = 5.0
-# A shorter flight, or one of fewer frames, does not show how fast the body falls.
+# Shorter flights do not show the body's acceleration.
 _FLIGHT_S, _FLIGHT_FRAMES = 0.2, 5
 _EXCESS_RAD = 0.1
-# The first and the last pose of a clip that closes are nearer than this, mean over the bodies.
+# The first and the last pose of a cycle differ by less than this, averaged over the bodies.
 _CLOSED_M = 0.1
-# Of a longer clip so many frames are looked at, evenly spaced.
+# Longer clips are checked at this many frames, evenly spaced.
 _MAX_FRAMES = 4000
 _MAX_NAMED = 5
 
@@ -59,22 +59,22 @@ _MAX_NAMED = 5
 class _Poses:
     """T frames of a clip, at most `_MAX_FRAMES`."""
 
-    fps: float  # of these frames
-    # Body -> (T,) height of its lowest point that can touch the ground.
+    fps: float  # frames per second after the selection
+    # Body id -> (T,) height of the body's lowest point that can touch the ground.
     lows_m: dict[int, npt.NDArray[np.float64]]
     mass_height_m: npt.NDArray[np.float64]  # (T,) height of the centre of mass
-    body_pos: FloatArray  # (T, J, 3) m, without the root's place on the ground
+    body_pos: FloatArray  # (T, J, 3) m; x and y are relative to the root
 
     @classmethod
     def of(cls, clip: MotionClip, skeleton: Skeleton) -> _Poses | None:
-        """Return the poses; None if nothing can touch the ground."""
+        """Return the poses, or None if no geom can touch the ground."""
         model = skeleton.model
         every = -(-clip.num_frames // _MAX_FRAMES)
         pos, rot = BodyPoses(skeleton).at(qpos_from_clip(skeleton, clip)[::every])
         root = int(model.jnt_bodyid[0])
 
         def height(body: int, point: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-            """Return the heights (T,) m of a point in the frame of a body of the skeleton."""
+            """Return the world heights (T,) m of a point in a body's frame."""
             offset = rotate_components(rot[:, body], point.astype(np.float32)[:, None])[2]
             return np.asarray(pos[2, body] + offset, dtype=np.float64)
 
@@ -82,7 +82,11 @@ class _Poses:
         for geom in geoms_that_touch(model):
             body = int(model.geom_bodyid[geom]) - root
             if 0 <= body < skeleton.num_bodies:
-                down = _down_in_geom(model.geom_quat[geom], rot[:, body])
+                x, y, z, w = rot[:, body]
+                zeros = np.zeros_like(x)
+                down = rotate_components((-x, -y, -z, w), (zeros, zeros, zeros - 1.0))
+                w, x, y, z = model.geom_quat[geom][:, None]
+                down = np.stack(rotate_components((-x, -y, -z, w), down), axis=-1)
                 low_m = height(body, model.geom_pos[geom]) - reach_down(model, geom, down)
                 lows_m[body] = np.minimum(low_m, lows_m.get(body, np.inf))
         if not lows_m:
@@ -103,17 +107,8 @@ class _Poses:
 
     @functools.cached_property
     def ground_m(self) -> float:
-        """The height that is meant to be the ground."""
+        """The height of the ground in the clip."""
         return float(np.quantile(self.lowest_m, GROUND_QUANTILE))
-
-
-def _down_in_geom(geom_quat: FloatArray, body_rot: FloatArray) -> FloatArray:
-    """Return the world's -z in a geom's frame (T, 3), of body rotations (4, T) xyzw."""
-    x, y, z, w = body_rot
-    zeros = np.zeros_like(x)
-    in_body = rotate_components((-x, -y, -z, w), (zeros, zeros, zeros - 1.0))
-    w, x, y, z = geom_quat[:, None]
-    return np.stack(rotate_components((-x, -y, -z, w), in_body), axis=-1)
 
 
 def is_in_air(clip: MotionClip, skeleton: Skeleton) -> bool:
@@ -123,10 +118,7 @@ def is_in_air(clip: MotionClip, skeleton: Skeleton) -> bool:
 
 
 def put_on_ground(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
-    """Return the clip, raised or lowered as a whole, so that its lowest points are on the ground.
-
-    `GROUND_QUANTILE` of its frames stay a little below.
-    """
+    """Return the clip, moved vertically as a whole until its lowest points are on the ground."""
     poses = _Poses.of(clip, skeleton)
     if poses is None:
         return clip
@@ -135,14 +127,20 @@ def put_on_ground(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
 
 
 def bodies_on_ground(clips: Sequence[MotionClip], skeleton: Skeleton) -> list[str]:
-    """Return the bodies that touch the ground in clips, in the order of the skeleton.
+    """Return the names of the bodies that touch the ground in clips, in the skeleton's order.
 
-    A body touches it where its lowest point is near the ground of its clip, within 3 cm of a
-    humanoid and in proportion of others, in 2% of the frames at least. Where the centre of mass
-    comes near the ground, in a roll or a crawl, it is all bodies: clips of that kind are seldom
-    exact.
+    A body touches the ground if its lowest point is near the ground in at least 2% of a clip's
+    frames. The limit is 3 cm for a human and proportional to the size of other robots. The result
+    is all bodies if the centre of mass comes near the ground, because the contacts of rolls and
+    crawls are seldom exact.
     """
-    usual_m = _usual_mass_height_m(skeleton.model)
+    # The usual height of the centre of mass above the ground, with all joints at rest.
+    model = skeleton.model
+    qpos = model.qpos0.copy()
+    qpos[2] = start_height(model, qpos) - CLEARANCE
+    data = posed(model, qpos)
+    mujoco.mj_comPos(model, data)
+    usual_m = float(data.subtree_com[model.jnt_bodyid[0], 2])
     found: set[int] = set()
     for clip in clips:
         poses = _Poses.of(clip, skeleton)
@@ -157,17 +155,8 @@ def bodies_on_ground(clips: Sequence[MotionClip], skeleton: Skeleton) -> list[st
     return [skeleton.body_names[body] for body in sorted(found)]
 
 
-def _usual_mass_height_m(model: mujoco.MjModel) -> float:
-    """Return how high the centre of mass is above the lowest point, all joints at rest."""
-    qpos = model.qpos0.copy()
-    qpos[2] = start_height(model, qpos) - CLEARANCE
-    data = posed(model, qpos)
-    mujoco.mj_comPos(model, data)
-    return float(data.subtree_com[model.jnt_bodyid[0], 2])
-
-
 def implausible(clip: MotionClip, skeleton: Skeleton) -> list[str]:
-    """Return what is implausible in a clip, a few words each, for users."""
+    """Return a short text for each implausible property of a clip."""
     found = [_beyond_limits(clip, skeleton)]
     poses = _Poses.of(clip, skeleton)
     if poses is not None:
@@ -184,7 +173,7 @@ def implausible(clip: MotionClip, skeleton: Skeleton) -> list[str]:
 
 
 def warn_of_implausible(clips: Sequence[MotionClip], skeleton: Skeleton) -> dict[str, str]:
-    """Log a line for each implausible clip, the first few of many; return them by name."""
+    """Log a line for each implausible clip, at most `_MAX_NAMED`; return the texts by name."""
     found = {clip.name: text for clip in clips if (text := "; ".join(implausible(clip, skeleton)))}
     lines = [f"{name}: implausible: {text}" for name, text in found.items()]
     if len(lines) > _MAX_NAMED:
@@ -195,13 +184,13 @@ def warn_of_implausible(clips: Sequence[MotionClip], skeleton: Skeleton) -> dict
 
 @functools.lru_cache(maxsize=8)
 def _warn_once(lines: tuple[str, ...]) -> None:
-    """Log lines; a training loads its clips again to measure the policy."""
+    """Log lines once, although a training loads its clips again for the evaluation."""
     for line in lines:
         _log.warning("%s", line)
 
 
 def _odd_flight(poses: _Poses) -> str:
-    """Return the worst flight that is no fall, of those that are long enough to say something."""
+    """Describe the flight that differs most from a free fall, or return ""."""
     is_in_air = poses.lowest_m > poses.ground_m + _IN_AIR_M
     ends = np.flatnonzero(np.diff(is_in_air, prepend=False, append=False)).reshape(-1, 2)
     least = max(_FLIGHT_FRAMES, int(np.ceil(_FLIGHT_S * poses.fps)) + 1)
@@ -226,8 +215,8 @@ def _odd_flight(poses: _Poses) -> str:
         how = (
             f"it hovers up to {high_m:.2f} m above the ground"
             if fall_m_s2 < _HOVERING_M_S2
-            else f"its flight is no fall: {fall_m_s2:.1f} m/s^2 in place of {_GRAVITY_M_S2:.1f},"
-            f" {100 * misfit_m:.0f} cm of misfit"
+            else f"its flight is no free fall: {fall_m_s2:.1f} m/s^2, expected {_GRAVITY_M_S2:.1f}"
+            f" ({100 * misfit_m:.0f} cm from a parabola)"
         )
         worst, text = oddness, f"{how} ({start_s:.2f} to {end_s:.2f} s)"
     return text
@@ -244,12 +233,12 @@ def _beyond_limits(clip: MotionClip, skeleton: Skeleton) -> str:
     low, high = skeleton.dof_limits[joint]
     return (
         f"{skeleton.dof_names[joint]} is up to {worst_rad:.2f} rad beyond its limits"
-        f" ({low:.2f} to {high:.2f}), joints are in {share:.0%} of the frames"
+        f" ({low:.2f} to {high:.2f}); joints exceed their limits in {share:.0%} of the frames"
     )
 
 
 def _ends_in_air(poses: _Poses) -> str:
-    """Return that a clip starts or ends in the air, unless it closes: a run may."""
+    """Describe a start or end in the air, or return ""; cycles, for example runs, may have them."""
     difference_m = np.linalg.norm(poses.body_pos[0] - poses.body_pos[-1], axis=-1)
     if difference_m.mean() < _CLOSED_M:
         return ""

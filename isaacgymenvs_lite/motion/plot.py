@@ -1,7 +1,8 @@
 """Plots a clip: isaacgymenvs-lite plot CLIP out=FILE.png.
 
-Over time: the angles of all joints (rad; of ball joints the length of the rotation vector), the
-height of the root (m), and when each foot is on the ground. A clip of a robot needs its file:
+The picture shows three graphs over time: the joint angles (rad; the length of the rotation vector
+for a ball joint), the height of the root (m), and the contacts of the feet with the ground. A clip
+of a robot needs the robot's file:
 
     isaacgymenvs-lite plot g1_walk robot=mjcf/g1.xml out=walk.png
 """
@@ -27,9 +28,9 @@ from isaacgymenvs_lite.schema import setting
 
 log = logging.getLogger(__name__)
 
-# A foot at most this far above its lowest place, and slower than this, is on the ground.
+# A foot below this height over its lowest position, and slower than this, is on the ground.
 _CONTACT_HEIGHT_M, _CONTACT_SPEED = 0.05, 0.4
-# Inches of the figure for each joint, so that the list of joints is not higher than its axes.
+# The figure needs this height in inches for each joint of the legend.
 _LEGEND_LINE = 0.36
 
 
@@ -38,15 +39,15 @@ class PlotSettings:
     """Arguments of the command."""
 
     robot: str = setting("")
-    """The robot's MJCF or URDF; '': the clip is of a shipped humanoid."""
+    """The robot's MJCF or URDF; '' for a clip of a shipped humanoid."""
     out: str = setting()
     """File to write: .png, .svg or .pdf."""
 
 
 def joint_angles(clip: MotionClip, skeleton: Skeleton) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the angle (T,) rad of each joint: signed of hinges, unsigned of ball joints.
+    """Return the angle (T,) rad of each joint; angles of ball joints are unsigned.
 
-    By the names of bodies; of a robot's hinges, by the names of joints.
+    The key is the body's name, or the joint's own name for a robot's hinge.
     """
     dofs = dofs_of_clip(skeleton, clip)
     angles = {}
@@ -64,9 +65,9 @@ def joint_angles(clip: MotionClip, skeleton: Skeleton) -> dict[str, npt.NDArray[
 def foot_contacts(
     clip: MotionClip, feet: Collection[str] | None = None
 ) -> dict[str, npt.NDArray[np.bool_]]:
-    """Return for each foot the frames (T,) in which it is on the ground: low, and slow.
+    """Return whether each foot is on the ground, low and slow, in each frame (T,).
 
-    `feet` are names of bodies; None: those with "foot" in their names.
+    `feet` are body names; None selects the bodies with "foot" in their names.
     """
     places, _ = clip.global_poses()
     contacts = {}
@@ -81,15 +82,16 @@ def foot_contacts(
 
 
 def plot_clip(name: str, settings: PlotSettings) -> Path:
-    """Plot a clip; return the file."""
-    from matplotlib.figure import Figure  # imported late: it takes half a second
+    """Plot a clip and return the path of the picture."""
+    from matplotlib.figure import Figure  # the import takes half a second
 
     clip, skeleton, robot = load_shown_clip(name, settings.robot)
     angles = joint_angles(clip, skeleton)
     height = max(8.0, _LEGEND_LINE * len(angles))
     figure = Figure(figsize=(9, height), layout="constrained")
-    heights = {"height_ratios": [4, 1.5, 1]}
-    angles_axes, root_axes, feet_axes = figure.subplots(3, 1, sharex=True, gridspec_kw=heights)
+    angles_axes, root_axes, feet_axes = figure.subplots(
+        3, 1, sharex=True, gridspec_kw={"height_ratios": [4, 1.5, 1]}
+    )
     times_s = np.arange(clip.num_frames) / clip.fps
     for body, angle in angles.items():
         style = "--" if body.startswith("left") else "-"
@@ -99,8 +101,7 @@ def plot_clip(name: str, settings: PlotSettings) -> Path:
     angles_axes.set_title(Path(clip.name).name)
     root_axes.plot(times_s, clip.root_translation[:, 2], color="black")
     root_axes.set_ylabel("root height (m)")
-    feet = robot.prepared.contact_bodies if robot else None
-    contacts = foot_contacts(clip, feet)
+    contacts = foot_contacts(clip, robot.prepared.contact_bodies if robot else None)
     for row, contact in enumerate(contacts.values()):
         feet_axes.fill_between(times_s, row, row + 0.8, where=contact, step="mid", linewidth=0)
     feet_axes.set_yticks([row + 0.4 for row in range(len(contacts))])

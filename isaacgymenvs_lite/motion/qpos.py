@@ -1,8 +1,7 @@
-"""Poses of a clip as joint coordinates: MuJoCo's qpos, or the robot's degrees of freedom.
+"""Converts between rotations of bodies, MuJoCo's qpos, and degrees of freedom (DOFs).
 
-Degrees of freedom (DOFs) are rotation vectors of ball joints and angles of hinges; qpos holds
-quaternions wxyz in place of the rotation vectors, and the root's free joint. This is the only place
-that turns DOFs into rotations of bodies, and back.
+DOFs are rotation vectors of ball joints and angles of hinges. qpos starts with the root's free
+joint and holds quaternions wxyz for ball joints.
 """
 
 from __future__ import annotations
@@ -27,15 +26,15 @@ from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.kinematics import Floats, Kinematics
 
 _log = logging.getLogger(__name__)
-_ROOT = 7  # numbers of the free joint: position, quaternion wxyz
+_ROOT = 7  # values of the free joint: position, quaternion wxyz
 
 
 def clip_to_qpos(
     clip: MotionClip, skeleton: Skeleton | None = None
 ) -> tuple[mujoco.MjModel, npt.NDArray[np.float64]]:
-    """Return the robot of a clip, as a MuJoCo model, and the clip's poses, qpos (T, nq).
+    """Return the MuJoCo model of a clip and its poses qpos (T, nq).
 
-    The skeleton is the robot's; None: of the shipped humanoid with the clip's bodies.
+    `skeleton` is the robot's; None stands for the shipped humanoid with the clip's bodies.
     """
     if skeleton is None:
         file = shipped_humanoid_with(clip.body_names)
@@ -49,7 +48,7 @@ def clip_to_qpos(
 
 
 class BodyPoses:
-    """World poses of a robot's bodies at many qpos, by the tasks' kinematics; float32."""
+    """Forward kinematics of a robot's bodies for many qpos in float32."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         model = skeleton.model
@@ -59,9 +58,9 @@ class BodyPoses:
         self._qpos0 = model.qpos0.astype(np.float32)
 
     def at(self, qpos: FloatArray) -> tuple[Floats, Floats]:
-        """Return positions (3, J, n) m and rotations (4, J, n) xyzw of the bodies at qpos (n, nq).
+        """Return world positions (3, J, n) m and rotations (4, J, n) xyzw at qpos (n, nq).
 
-        Columns at the end, which are of objects, may be left out.
+        The last columns of qpos, which belong to objects, may be left out.
         """
         whole = np.repeat(self._qpos0[:, None], len(qpos), axis=1)
         whole[: qpos.shape[1]] = qpos.T
@@ -72,15 +71,10 @@ class BodyPoses:
 
 
 def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) -> MotionClip:
-    """Make a clip of any robot from its joint coordinates; MuJoCo's kinematics gives the poses.
+    """Make a clip of a robot from qpos (T, nq) by MuJoCo's kinematics.
 
-    Args:
-        name: see `MotionClip`.
-        fps: frames per second.
-        skeleton: of the robot.
-        qpos: (T, nq) m and rad, quaternions wxyz; the columns of objects may be left out. Joints
-            that follow others get their angles from their leaders; a warning names those that
-            differ. Angles of followers may be NaN: not known.
+    The columns of objects may be left out. Follower joints get their angles from their leaders and
+    may be NaN in `qpos`; a warning names followers whose angles differ.
     """
     qpos = np.asarray(qpos, dtype=np.float64)
     num_columns = skeleton.qpos_addresses[-1]
@@ -91,7 +85,7 @@ def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) 
             off_rad = np.fmax.reduce(np.abs(qpos[:, column] - given[:, column]), initial=0.0)
             if off_rad > TOLERANCE_RAD:
                 _log.warning(
-                    "%s: joint '%s', which follows another one in the model, is up to %.3g rad off;"
+                    "%s: joint '%s' follows another joint in the model but is up to %.3g rad off;"
                     " its angle is computed from its leader's",
                     *(name, joint, off_rad),
                 )
@@ -107,7 +101,7 @@ def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) 
 
 
 def qpos_from_clip(skeleton: Skeleton, clip: MotionClip) -> npt.NDArray[np.float64]:
-    """Return qpos (T, nq), without objects, of a clip; its bodies are in the skeleton's order."""
+    """Return qpos (T, nq) without objects; the clip's bodies are in the skeleton's order."""
     if clip.dof_pos is None:
         return qpos_from_poses(skeleton, clip.root_translation, clip.local_rotation)
     return qpos_from_dofs(skeleton, clip.root_translation, clip.local_rotation[:, 0], clip.dof_pos)
@@ -116,7 +110,7 @@ def qpos_from_clip(skeleton: Skeleton, clip: MotionClip) -> npt.NDArray[np.float
 def qpos_from_dofs(
     skeleton: Skeleton, root_translation: FloatArray, root_rotation: FloatArray, dofs: FloatArray
 ) -> npt.NDArray[np.float64]:
-    """Return qpos (T, nq) of root positions (T, 3) m, rotations (T, 4) xyzw, DOFs (T, D) rad."""
+    """Return qpos (T, nq) for root positions (T, 3) m, rotations (T, 4) xyzw, DOFs (T, D) rad."""
     values = np.asarray(dofs, dtype=np.float64)
     turns = rotations.wxyz_from_xyzw(joint_rotations(skeleton, values)).numpy()
     root = torch.from_numpy(np.array(root_rotation, dtype=np.float64))
@@ -129,10 +123,10 @@ def qpos_from_dofs(
 def qpos_from_poses(
     skeleton: Skeleton, root_translation: FloatArray, local_rotation: FloatArray
 ) -> npt.NDArray[np.float64]:
-    """Return qpos (T, nq) of root positions (T, 3) m and local rotations (T, J, 4) xyzw.
+    """Return qpos (T, nq) for root positions (T, 3) m and local rotations (T, J, 4) xyzw.
 
-    Of a hinge, only the rotation about its axis is used. Raises MotionFileError if a body has
-    several joints, whose angles its rotation does not determine.
+    A hinge uses only the rotation about its axis. Raises MotionFileError if a body has several
+    joints, because its rotation does not determine their angles.
     """
     turns = turned_by_joints(skeleton, local_rotation)
     root = rotations.wxyz_from_xyzw(turns[:, 0]).numpy()
@@ -148,7 +142,7 @@ def qpos_from_poses(
 def poses_from_qpos(
     skeleton: Skeleton, qpos: FloatArray
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return root positions (T, 3) m and local rotations (T, J, 4) xyzw of qpos (T, nq)."""
+    """Return root positions (T, 3) m and local rotations (T, J, 4) xyzw for qpos (T, nq)."""
     values = torch.from_numpy(np.ascontiguousarray(qpos, dtype=np.float64))
     joints = torch.zeros((len(values), len(skeleton.dof_body_ids), 4), dtype=torch.float64)
     for group, (start, end) in enumerate(itertools.pairwise(skeleton.qpos_addresses)):
@@ -163,10 +157,9 @@ def poses_from_qpos(
 
 
 def local_poses(skeleton: Skeleton, qpos: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where bodies are in their parents at qpos (T, nq): m, and rotations (T, J, 4) xyzw.
+    """Return positions in m and rotations (T, J, 4) xyzw in the parents' frames for qpos (T, nq).
 
-    By MuJoCo's own kinematics. Positions are (J, 3) if all joints are at the origins of their
-    bodies, else (T, J, 3).
+    Positions are (J, 3) if all joints are at the origins of their bodies, else (T, J, 3).
     """
     root = int(skeleton.model.jnt_bodyid[0])
     bodies = range(root, root + skeleton.num_bodies)
@@ -192,7 +185,7 @@ def dofs_of_clip(skeleton: Skeleton, clip: MotionClip) -> FloatArray:
 def dofs_from_rotations(skeleton: Skeleton, local_rotation: FloatArray) -> FloatArray:
     """Return the DOFs (T, num_dofs) in rad of local rotations (T, J, 4) xyzw.
 
-    Angles of hinges are within pi of their angles at rest; errors as of `qpos_from_poses`.
+    Hinge angles are within pi of their rest angles. Errors: see `qpos_from_poses`.
     """
     vectors = rotations.quat_log(turned_by_joints(skeleton, local_rotation))
     columns = []
@@ -226,15 +219,15 @@ def joint_rotations(skeleton: Skeleton, dofs: FloatArray) -> Tensor:
 
 
 def turned_by_joints(skeleton: Skeleton, local_rotation: FloatArray) -> Tensor:
-    """Return the rotations (T, J, 4) xyzw of bodies by their joints, from their rest rotations.
+    """Return the bodies' rotations (T, J, 4) xyzw relative to their rest rotations.
 
-    Errors as of `qpos_from_poses`.
+    Errors: see `qpos_from_poses`.
     """
     if skeleton.shared_body_ids:
         names = ", ".join(skeleton.body_names[body] for body in skeleton.shared_body_ids)
         raise MotionFileError(
             f"rotations of bodies do not determine the angles of several joints on one body"
-            f" ({names}); give a clip with joint coordinates, dof_pos, as clip_from_qpos makes it"
+            f" ({names}); give a clip with joint coordinates (dof_pos), see clip_from_qpos"
         )
     turns = torch.from_numpy(np.array(local_rotation, dtype=np.float64))
     turned = _turned_at_rest(skeleton)
@@ -244,9 +237,9 @@ def turned_by_joints(skeleton: Skeleton, local_rotation: FloatArray) -> Tensor:
 
 
 def _compose(skeleton: Skeleton, root_rotation: Tensor, joints: Tensor) -> Tensor:
-    """Return the local rotations (T, J, 4) of rotations (T, 4) of the root and (T, G, 4) of joints.
+    """Return local rotations (T, J, 4) for rotations of the root (T, 4) and the joints (T, G, 4).
 
-    Bodies rotate from their rest rotations by one joint after the other.
+    The joints of a body rotate it one after the other from its rest rotation.
     """
     turns = torch.from_numpy(skeleton.rest_rotation).repeat(len(joints), 1, 1)
     turned = set(_turned_at_rest(skeleton))
@@ -259,13 +252,14 @@ def _compose(skeleton: Skeleton, root_rotation: Tensor, joints: Tensor) -> Tenso
 
 
 def _turned_at_rest(skeleton: Skeleton) -> list[int]:
+    """Return the ids of bodies whose rest rotation is not the identity."""
     return np.flatnonzero(np.any(skeleton.rest_rotation[:, :3], axis=1)).tolist()
 
 
 def _hinge_angle(skeleton: Skeleton, group: int, vectors: Tensor) -> Tensor:
-    """Return the angles (T, 1) rad of a hinge whose body has rotated by vectors (T, 3)."""
+    """Return the angles (T, 1) rad of a hinge for rotation vectors (T, 3) of its body."""
     axis = skeleton.joint_axes[group]
-    # Only the components that the axis has: the others' zeros would change signs of zeros.
+    # Adding zero components would change the signs of zeros.
     parts = [float(axis[i]) * vectors[:, i : i + 1] for i in np.flatnonzero(axis)]
     angle = torch.stack(parts).sum(dim=0) if len(parts) > 1 else parts[0]
     ref = float(skeleton.joint_refs[group])
@@ -273,13 +267,13 @@ def _hinge_angle(skeleton: Skeleton, group: int, vectors: Tensor) -> Tensor:
 
 
 def _set_along_axis(vectors: Tensor, axis: npt.NDArray[np.float64], lengths: Tensor) -> None:
-    """Set vectors (T, 3 or 4), which are zero, to lengths (T,) along an axis."""
+    """Set vectors (T, 3 or 4), which are zero, to lengths (T,) along an axis (3,)."""
     for i in np.flatnonzero(axis):
         vectors[:, int(i)] = float(axis[i]) * lengths
 
 
 def dofs_from_qpos(skeleton: Skeleton, qpos: npt.NDArray[np.float64]) -> FloatArray:
-    """Return the DOFs (T, num_dofs) rad of qpos (T, nq)."""
+    """Return the DOFs (T, num_dofs) rad for qpos (T, nq)."""
     columns = []
     for start, end in itertools.pairwise(skeleton.qpos_addresses):
         values = torch.from_numpy(qpos[:, start:end])
@@ -292,9 +286,9 @@ def dofs_from_qpos(skeleton: Skeleton, qpos: npt.NDArray[np.float64]) -> FloatAr
 def body_poses(
     model: mujoco.MjModel, qpos: FloatArray, bodies: Iterable[str | int]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return world positions (T, B, 3) m and rotations (T, B, 4) xyzw of bodies at qpos (T, nq).
+    """Return world positions (T, B, 3) m and rotations (T, B, 4) xyzw of bodies for qpos (T, nq).
 
-    By MuJoCo's own kinematics. The columns of objects may be left out.
+    MuJoCo's kinematics computes them. The columns of objects may be left out.
     """
     ids = [model.body(body).id for body in bodies]
     data = mujoco.MjData(model)

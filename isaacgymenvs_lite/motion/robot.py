@@ -1,11 +1,11 @@
 """Checks the file of a robot: isaacgymenvs-lite robot FILE [out=FILE.png].
 
-    isaacgymenvs-lite robot mjcf/g1.xml               # what is taken and added
+    isaacgymenvs-lite robot mjcf/g1.xml               # lists what is used and what is added
     isaacgymenvs-lite robot /robots/g1.urdf out=start.png
 
-FILE is an MJCF or URDF: absolute, relative to the working directory, or a name in assets/. It is
-read as task=RobotAMP reads it, and not changed. The picture shows the start pose from the right and
-from the front; it needs an OpenGL library that works without a screen, EGL or OSMesa.
+FILE is an MJCF or URDF: an absolute path, a path relative to the working directory, or a name in
+assets/. The command reads it like task=RobotAMP. The picture shows the
+start pose from the right and from the front. It needs EGL or OSMesa, which render without a screen.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ class RobotCheckSettings:
     """Arguments of the command."""
 
     out: str = setting("")
-    """The PNG to write; '': none."""
+    """The PNG to write; '' for no picture."""
 
 
 def check_robot(file: str, settings: RobotCheckSettings) -> None:
-    """Log what is taken of a robot's file and added to it; draw its start pose if asked to."""
+    """Log what RobotAMP uses of a file and adds to it; draw the start pose if `out` is set."""
     robot = load_clip_robot(file)
     for line in robot.prepared.describe():
         for part in textwrap.wrap(line, _COLUMNS, subsequent_indent="    "):

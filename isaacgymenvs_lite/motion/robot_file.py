@@ -1,4 +1,4 @@
-"""What the clip commands share: their words, and the robot that `robot=FILE` names."""
+"""Helpers of the clip commands: their command line, and the robot of `robot=FILE`."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def run_file_command(
 ) -> int:
     """Run `isaacgymenvs-lite NAME FILE ... key=value ...` and return the exit code.
 
-    `files` are the words before the settings, in capitals, with their help; `action` receives the
-    words, then the settings.
+    `files` maps the positional arguments, in capitals, to their help texts. `action` receives the
+    positional arguments, then the settings.
     """
     parser = argparse.ArgumentParser(prog=f"isaacgymenvs-lite {name}", description=description)
     for file, text in files.items():
@@ -51,16 +51,16 @@ def run_file_command(
 
 @dataclass(frozen=True, eq=False)
 class ClipRobot:
-    """A robot that clips belong to, and the skeleton of its model."""
+    """The robot of a clip, and the skeleton of its model."""
 
     prepared: PreparedRobot
     skeleton: Skeleton
 
 
 def load_clip_robot(name: str, settings: RobotSettings | None = None) -> ClipRobot:
-    """Read the robot that clips belong to, or raise a ConfigError.
+    """Read the robot of a clip, or raise a ConfigError.
 
-    Its file is absolute, or relative to the working directory or to assets/.
+    `name` is a path: absolute, or relative to the working directory or to assets/.
     """
     folders = (Path(), paths.assets_dir())
     found = [folder / paths.user_path(name) for folder in folders]
@@ -77,7 +77,7 @@ def load_clip_robot(name: str, settings: RobotSettings | None = None) -> ClipRob
 
 
 def load_shown_clip(name: str, robot: str) -> tuple[MotionClip, Skeleton, ClipRobot | None]:
-    """Read a clip to be shown, with its skeleton, and its robot, None for a humanoid."""
+    """Read a clip; return it with its skeleton and its robot (None for a shipped humanoid)."""
     if not robot:
         return *load_single_clip(name), None
     loaded = load_clip_robot(robot)
@@ -86,9 +86,9 @@ def load_shown_clip(name: str, robot: str) -> tuple[MotionClip, Skeleton, ClipRo
 
 
 def view_of(robot: ClipRobot | None, azimuth_deg: float, aspect: float = 4 / 3) -> View:
-    """Return the camera for a clip of a robot; of a humanoid for None.
+    """Return the camera for a robot, or for a shipped humanoid if `robot` is None.
 
-    `aspect` is the width of the picture by its height.
+    `aspect` is the width of the picture divided by its height.
     """
     if robot is None:
         return View(azimuth_deg=azimuth_deg)

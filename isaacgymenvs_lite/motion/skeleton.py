@@ -19,7 +19,7 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations
 
-# The model file, relative to the assets folder, of the humanoid with a number of DOFs.
+# Model files of the shipped humanoids, relative to the assets folder, by number of DOFs.
 _HUMANOIDS = {28: "mjcf/amp_humanoid.xml", 31: "mjcf/amp_humanoid_sword_shield.xml"}
 SHIPPED_NUM_DOFS = tuple(_HUMANOIDS)
 _BALL, _HINGE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -31,40 +31,36 @@ _FREE_JOINT_QPOS = 7
 class Skeleton:
     """Bodies and joints of a robot on a free root; J bodies in depth-first order, root first.
 
-    A joint group is one joint: 3 DOFs (ball joint, rotation vector in rad in the child frame) or 1
-    DOF (hinge, its angle in rad). A body may have several, which rotate it one after the other, in
-    MuJoCo's order. Bodies without a joint are rigid.
+    A joint group is one joint. A ball joint has 3 DOFs (rotation vector in rad, child frame), a
+    hinge has 1 DOF (angle in rad). A body may have several joints, which rotate it one after the
+    other, or none.
     """
 
     body_names: tuple[str, ...]  # J names
     parent_indices: tuple[int, ...]  # J body ids, -1 for the root; parents come before children
-    # (J, 3) m, origin of a body in its parent's frame, all joints at rest. The root's row is its
-    # position in the model file, which kinematics does not use.
+    # (J, 3) m, origins of bodies in their parents' frames with joints at rest. The root's row is
+    # its position in the model file, which kinematics does not use.
     local_translation: npt.NDArray[np.float64]
     dof_body_ids: tuple[int, ...]  # G body ids, one per joint group, in DOF order
-    # G + 1 numbers; group g owns the DOFs dof_offsets[g] to dof_offsets[g + 1].
+    # (G + 1,) group g owns the DOFs dof_offsets[g] to dof_offsets[g + 1]
     dof_offsets: tuple[int, ...]
-    # K body ids, the foot that each row of `foot_corners` belongs to.
-    foot_body_ids: tuple[int, ...]
-    # (K, 3) m, corners of the box geoms of the bodies named *_foot, body frame.
+    foot_body_ids: tuple[int, ...]  # K body ids, the foot of each row of `foot_corners`
+    # (K, 3) m, corners of the box geoms of bodies named *_foot, body frame
     foot_corners: npt.NDArray[np.float64]
-    # One name per DOF: of a hinge the joint's; of a ball joint the names of its three actuators,
-    # such as abdomen_x, or <joint>_x, _y and _z.
+    # One name per DOF: the hinge's, or those of a ball joint's three actuators (abdomen_x), or
+    # <joint>_x, _y and _z.
     dof_names: tuple[str, ...]
-    # (num_dofs, 2) rad, lowest and highest value of each DOF; infinite for hinges without limits,
-    # -pi and pi for such ball joints.
+    # (num_dofs, 2) rad, limits of each DOF; infinite for unlimited hinges, -pi and pi for unlimited
+    # ball joints
     dof_limits: npt.NDArray[np.float64]
-    # (J, 4) xyzw, of a body in its parent's frame, all joints at rest; the root's row is the
-    # identity.
+    # (J, 4) xyzw, bodies' rotations in their parents' frames with joints at rest; the root's row is
+    # the identity
     rest_rotation: npt.NDArray[np.float64]
-    # (G, 3) unit vectors in the child frame; zeros for ball joints.
-    joint_axes: npt.NDArray[np.float64]
-    # (G, 3) m, points about which the joints rotate, in the child frame.
-    joint_anchors: npt.NDArray[np.float64]
-    # (G,) rad, the angle of a hinge at rest (MuJoCo's `ref`); 0 for ball joints.
-    joint_refs: npt.NDArray[np.float64]
+    joint_axes: npt.NDArray[np.float64]  # (G, 3) unit vectors, child frame; 0 for ball joints
+    joint_anchors: npt.NDArray[np.float64]  # (G, 3) m, centres of rotation, child frame
+    joint_refs: npt.NDArray[np.float64]  # (G,) rad, hinge angles at rest (`ref`); 0 for ball joints
     model: mujoco.MjModel  # the compiled model
-    followers: Followers | None  # the joints that follow others; None without any
+    followers: Followers | None  # the joints that follow other joints; None if there are none
 
     @property
     def num_bodies(self) -> int:
@@ -83,34 +79,34 @@ class Skeleton:
 
     @property
     def shared_body_ids(self) -> tuple[int, ...]:
-        """The bodies with several joints, whose poses do not determine the DOFs."""
+        """The ids of bodies with several joints; their rotations do not determine the DOFs."""
         ids = self.dof_body_ids
         return tuple(sorted({body for body in ids if ids.count(body) > 1}))
 
     @property
     def qpos_addresses(self) -> tuple[int, ...]:
-        """G + 1 numbers: where the coordinates of each group start in qpos, and where they end."""
+        """Start of each joint group in qpos, and the end of the last group (G + 1)."""
         sizes = (4 if size == 3 else 1 for size in self.dof_sizes)
         return tuple(itertools.accumulate(sizes, initial=_FREE_JOINT_QPOS))
 
     @functools.cached_property
     def up_b(self) -> tuple[float, ...]:
-        """The upward direction (3,) in the frame of a root that is upright, as in its model."""
+        """The upward direction (3,) in the root's frame, with the root as in its model."""
         matrix = np.zeros(9)
         mujoco.mju_quat2Mat(matrix, self.model.qpos0[3:7])
         return tuple(matrix[6:])
 
     @functools.cached_property
     def has_offset_joints(self) -> bool:
-        """Whether a joint is beside the origin of its body, which then moves in its parent."""
+        """Whether a joint is not at its body's origin; the body then moves in its parent."""
         return bool(self.joint_anchors.any())
 
     @functools.cached_property
     def has_simple_joints(self) -> bool:
-        """Whether the rotation of a body is its joint's, as of the shipped humanoids.
+        """Whether the rotation of each body equals its joint's, as for the shipped humanoids.
 
-        At most one joint per body, at its origin, a ball or a hinge about y with angle 0 at rest;
-        no body is turned at rest. Clips of other skeletons have `dof_pos`.
+        A body has at most one joint, at its origin: a ball joint, or a hinge about y with rest
+        angle 0. No body is rotated at rest. Clips of other skeletons have `dof_pos`.
         """
         is_hinge = np.array(self.dof_sizes) == 1
         return not (
@@ -123,7 +119,7 @@ class Skeleton:
 
     @classmethod
     def from_mjcf(cls, path: str | Path) -> Skeleton:
-        """Read the skeleton of the MJCF file at `path` from MuJoCo's compiled model."""
+        """Read the skeleton of an MJCF file."""
         try:
             model = mujoco.MjModel.from_xml_path(str(path))
         except ValueError as error:
@@ -132,10 +128,10 @@ class Skeleton:
 
     @classmethod
     def from_model(cls, model: mujoco.MjModel, name: str = "the model") -> Skeleton:
-        """Read the skeleton of a compiled model; objects beside the robot's tree are left out.
+        """Read the skeleton of a compiled model without the objects outside the robot's tree.
 
         Raises ConfigError if the first joint is not the free joint of a root, or the robot has a
-        slide or a loop. `name` is the model's, for messages.
+        slide joint or a loop. Messages contain `name`.
         """
         if model.njnt == 0 or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
             raise ConfigError(
@@ -143,7 +139,7 @@ class Skeleton:
                 " is expected (the preparation in isaacgymenvs_lite.robots adds one)"
             )
         root = int(model.jnt_bodyid[0])
-        # A tree's bodies follow each other, and so do its joints; ids count from the root.
+        # The ids of a tree's bodies are consecutive; ours count from the root.
         num_bodies = int(np.count_nonzero(model.body_rootid == root))
         bodies = slice(root, root + num_bodies)
         of_robot = (model.jnt_bodyid >= root) & (model.jnt_bodyid < root + num_bodies)
@@ -197,7 +193,7 @@ def skeleton_for_num_dofs(num_dofs: int) -> Skeleton:
 def shipped_humanoid_with(body_names: Sequence[str]) -> str | None:
     """Return the model file, relative to the assets folder, of the humanoid with these bodies.
 
-    Their order does not matter. None: no shipped humanoid has exactly these.
+    The order of the names does not matter. None means that no shipped humanoid has these bodies.
     """
     for num_dofs, file in _HUMANOIDS.items():
         if set(skeleton_for_num_dofs(num_dofs).body_names) == set(body_names):
@@ -208,7 +204,7 @@ def shipped_humanoid_with(body_names: Sequence[str]) -> str | None:
 def _foot_corners(
     model: mujoco.MjModel, root: int, num_bodies: int
 ) -> tuple[tuple[int, ...], npt.NDArray[np.float64]]:
-    """Return body ids (K) and corners (K, 3) m of the feet's boxes, in the frames of the feet."""
+    """Return body ids (K) and corners (K, 3) m of the feet's boxes in the feet's frames."""
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     body_ids: list[int] = []
     corners = [np.zeros((0, 3))]
@@ -238,7 +234,7 @@ def _names_and_limits(
             names.append(name)
             limits.append((low, high) if is_limited else (-math.inf, math.inf))
             continue
-        # MuJoCo limits the angle of a ball joint; its three actuators may limit each axis.
+        # MuJoCo limits a ball joint's angle; three actuators may limit its axes.
         reach = high if is_limited else math.pi
         drives = np.flatnonzero(
             (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)

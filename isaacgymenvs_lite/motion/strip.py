@@ -3,11 +3,9 @@
     isaacgymenvs-lite strip walk walk.png seconds=0.9 frames=8 azimuth=180
     isaacgymenvs-lite strip g1_walk walk.png robot=mjcf/g1.xml
 
-CLIP is a motion file of any format, or the name of a shipped one; a clip of a robot needs its file,
-robot=. The strip shows the first `seconds` of it (default: all) in `frames` poses (8), from the
-right (azimuth=90).
-
-Needs an OpenGL library that works without a screen, EGL or OSMesa; see `rendering`.
+CLIP is a motion file of any format, or the name of a shipped clip. A clip of a robot needs the
+robot's file, robot=. The strip shows the first `seconds` (default: all) in `frames` poses
+(default: 8), from the right (azimuth=90). It needs EGL or OSMesa, which render without a screen.
 """
 
 from __future__ import annotations
@@ -29,24 +27,24 @@ from isaacgymenvs_lite.schema import setting
 
 _FRAME_WIDTH, _FRAME_HEIGHT = 200, 320
 ASPECT = _FRAME_WIDTH / _FRAME_HEIGHT
-"""Width of the picture of a pose by its height."""
+"""Width of one pose's picture divided by its height."""
 _NUM_COLOURS = 128
 
 
 def draw_poses(
     model: mujoco.MjModel, qpos: npt.NDArray[np.float64], view: View | None = None
 ) -> Image:
-    """Draw poses (n, nq) side by side, each from a camera of its own, as (height, n * width, 3).
+    """Draw poses (n, nq) side by side in a picture (height, n * width, 3).
 
-    The view is by default a humanoid's, from the right side.
+    Each pose has its own camera. The default view is a humanoid's, from the right.
     """
     with SceneRenderer(model, _FRAME_WIDTH, _FRAME_HEIGHT, view=view or View()) as renderer:
         return np.concatenate([renderer.draw(pose) for pose in qpos], axis=1)
 
 
 def save_png(path: str | Path, image: Image) -> Path:
-    """Write a picture (height, width, 3) with few colours, for a small file."""
-    import PIL.Image  # imported late: few commands need it
+    """Write a picture (height, width, 3) with 128 colours, which makes a small file."""
+    import PIL.Image  # few commands need it
 
     path = Path(path)
     try:
@@ -61,9 +59,9 @@ class StripSettings:
     """Arguments of the command."""
 
     robot: str = setting("")
-    """The robot's MJCF or URDF; '': the clip is of a shipped humanoid."""
+    """The robot's MJCF or URDF; '' for a clip of a shipped humanoid."""
     seconds: float = setting(0.0, minimum=0)
-    """Time to show; 0: the whole clip."""
+    """Time to show; 0 shows the whole clip."""
     frames: int = setting(8, minimum=1)
     """Number of poses."""
     azimuth: float = setting(90.0)
@@ -71,10 +69,7 @@ class StripSettings:
 
 
 def draw_strip(name: str, out: str, settings: StripSettings) -> Path:
-    """Write a PNG of a clip, named as on the command line, and return its path.
-
-    The poses are evenly spaced in time and stand side by side.
-    """
+    """Write a PNG of poses of a clip, evenly spaced in time, and return its path."""
     clip, _, robot = load_shown_clip(name, settings.robot)
     model, poses = clip_to_qpos(clip, robot.skeleton if robot else None)
     step_s = (settings.seconds or clip.length_s) / settings.frames

@@ -1,12 +1,12 @@
 """Shows or records a clip: isaacgymenvs-lite view CLIP [out=FILE.mp4].
 
-    isaacgymenvs-lite view walk                   # in a window, again and again
-    isaacgymenvs-lite view walk out=walk.mp4      # without a display
+    isaacgymenvs-lite view walk                   # repeats the clip in a window
+    isaacgymenvs-lite view walk out=walk.mp4      # needs no display
     isaacgymenvs-lite view run.npy out=run.webp seconds=2 azimuth=180
     isaacgymenvs-lite view g1_walk robot=mjcf/g1.xml out=walk.mp4
 
-CLIP is a motion file of any format, or the name of a shipped one. A clip of a robot needs its file,
-an MJCF or URDF: robot=/robots/g1.xml, or a name in assets/.
+CLIP is a motion file of any format, or the name of a shipped clip. A clip of a robot needs the
+robot's MJCF or URDF, robot=: a path or a name in assets/.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ class ViewSettings:
     """Arguments of the command."""
 
     robot: str = setting("")
-    """The robot's MJCF or URDF; '': the clip is of a shipped humanoid."""
+    """The robot's MJCF or URDF; '' for a clip of a shipped humanoid."""
     out: str = setting("")
-    """File to write, .mp4 or .webp; '': show it in a window."""
+    """File to write, .mp4 or .webp; '' shows the clip in a window."""
     seconds: float = setting(0.0, minimum=0)
-    """Time to show; 0: the clip's length. A clip that ends starts again."""
+    """Time to show; 0 is the clip's length. A clip that ends starts again."""
     azimuth: float = setting(90.0)
     """Degrees: 90 from the right, 180 from the front."""
 
 
 def view_clip(name: str, settings: ViewSettings) -> None:
-    """Show or record a clip, on the humanoid or robot that it was made for."""
+    """Show or record a clip on its humanoid or robot."""
     if settings.out:
         check_encoder()
     else:
@@ -72,7 +72,7 @@ def view_clip(name: str, settings: ViewSettings) -> None:
 def _show(
     model: mujoco.MjModel, poses: npt.NDArray[np.float64], fps: float, azimuth_deg: float
 ) -> None:
-    """Show poses (T, nq) in a window, again and again until it is closed."""
+    """Repeat poses (T, nq) in a window until it is closed."""
     from mujoco import viewer  # needs GLFW
 
     data = mujoco.MjData(model)

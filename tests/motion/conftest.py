@@ -1,4 +1,4 @@
-"""Small clips that the motion tests share: a body of three links, and the humanoid standing."""
+"""Small clips for the motion tests: a body of three links, and the standing humanoid."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def tiny() -> Skeleton:
     return Skeleton.from_model(mujoco.MjModel.from_xml_string(text))
 
 
-# Rest rotations, an oblique hinge and one that is 0.3 rad at rest, three hinges on one body, joints
-# beside the origins of their bodies, hinges before a ball joint, and an object after the robot.
+# It has rest rotations, an oblique hinge, a hinge with 0.3 rad at rest, three hinges on one body,
+# joints away from the origins of their bodies, hinges before a ball joint, and an object.
 ROBOT = """
 <mujoco><compiler angle="radian"/><worldbody>
   <body name="rail"><geom size="0.1"/></body>
@@ -151,7 +151,7 @@ def make_humanoid_clip(humanoid: Skeleton) -> Callable[..., MotionClip]:
 
 @pytest.fixture
 def as_poselib() -> Callable[[MotionClip], dict[str, Any]]:
-    """Return `as_poselib(clip)`, the clip as poselib stores it, in float32 with a whole fps."""
+    """Return `as_poselib(clip)`, poselib's dictionary of a clip in float32 with a whole fps."""
 
     def tagged(array: Any, dtype: str = "float32") -> dict[str, Any]:
         return {"arr": np.asarray(array).astype(dtype), "context": {"dtype": dtype}}
@@ -178,7 +178,7 @@ def as_poselib() -> Callable[[MotionClip], dict[str, Any]]:
 
 @pytest.fixture
 def save_object_npy() -> Callable[[Path, Any], Path]:
-    """Return `save_object_npy(path, data)`, which writes data as a pickle, as poselib does."""
+    """Return `save_object_npy(path, data)`, which writes data as a pickle like poselib."""
 
     def save(path: Path, data: Any) -> Path:
         array = np.empty((), dtype=object)

@@ -116,5 +116,5 @@ def test_degrees_are_refused():
     limits = np.array([[-1.0, 1.0], [0.0, 1.95], [-np.inf, np.inf]])
     clip.check_limits(limits)
     clip.check_limits(limits - np.array([[0.0], [0.2], [0.0]]))
-    with pytest.raises(MotionFileError, match=r"hip leaves .* by up to 6\.4 rad; .* degrees"):
+    with pytest.raises(MotionFileError, match=r"hip exceeds .* by up to 6\.4 rad; .* degrees"):
         clip.check_limits(limits + np.array([[6.4 + 2.0], [0.0], [0.0]]))

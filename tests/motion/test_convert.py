@@ -1,4 +1,4 @@
-"""The command that converts clips: every way round, and one line for every mistake."""
+"""Tests the convert command: all pairs of formats, and one line for each mistake."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_mistakes_are_one_line(refused) -> None:
         (("nowhere.npz", "a.npz"), "'nowhere.npz' not found"),
         (("locomotion", "a.npz"), "is a data set; give one of its clips"),
         (("walk", "a.npz", "end_s=9"), "is no part of the clip"),
-        (("walk", "a.npz", "mapping=cmu"), "only a .bvh file needs one"),
+        (("walk", "a.npz", "mapping=cmu"), "needs a .bvh file or robot=; leave it out"),
         (("walk", "a.npz", "fsp=30"), "unknown key 'fsp' (did you mean 'fps'?)"),
         (("clip.bvh", "a.npz"), "clip.bvh: no such file"),
         (("walk", "a.npz", "by_order=True"), "by_order= need robot=, the file of a robot"),

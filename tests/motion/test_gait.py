@@ -64,7 +64,7 @@ def test_feet_in_stance_stay_on_the_ground(robot, gait, duty, least, together) -
     moved = np.linalg.norm(np.diff(feet, axis=0), axis=-1)
     assert moved[down[1:] & down[:-1]].max() < 2e-6  # twice the solver's tolerance
     assert moved.max() > 0.01
-    # Both ends of a stance are frames: one more of 30 than its share.
+    # Both ends of a stance are frames: a stance has one frame more than its share of 30.
     np.testing.assert_allclose(down[:-1].mean(axis=0), duty + 1 / 30, atol=1.01 / 30)
     assert down.sum(axis=1).min() == least
     for one, other in together:
@@ -96,7 +96,7 @@ def test_the_shipped_trot_is_what_its_command_makes(robot) -> None:
 
 
 def test_the_shipped_drives_follow_the_trot(robot) -> None:
-    """Angles of the clip as targets, no controller: it keeps upright and goes forward."""
+    """The clip's angles as targets, without a controller, keep the robot upright and moving."""
     clip, model = make_gait(robot, SHIPPED), robot.model
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[0] = robot.start_qpos, 1.0
@@ -152,7 +152,7 @@ def test_a_robot_that_looks_along_y_is_turned(tmp_path) -> None:
     settings = GaitSettings(seconds=0.5, speed=0.3, start_rotation=turn)
     clip = read_joint_clip(write_gait(str(path), str(tmp_path / "out.npz"), settings))
     np.testing.assert_allclose(clip.root_rot, np.tile(turn, (31, 1)), atol=1e-12)
-    # As the one that looks along x: the legs are the same, and swing in their own planes.
+    # The legs are the same as for a robot that looks along x, and swing in their own planes.
     along_x = quadruped_of(tmp_path, {name: (y, -x) for name, (x, y) in places.items()})
     same = make_gait(load_robot(along_x), GaitSettings(seconds=0.5, speed=0.3))
     np.testing.assert_allclose(clip.dof_pos, same.dof_pos, atol=1e-5)

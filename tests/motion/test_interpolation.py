@@ -1,4 +1,4 @@
-"""Between the frames of clips: splines, whose velocities are the derivatives of the poses."""
+"""Tests the splines between the frames of clips; velocities are derivatives of the poses."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_velocities_of_a_known_motion(tmp_path, humanoid):
 
 
 def test_velocities_as_published_lag_behind(tmp_path, humanoid):
-    """What the key brings back: differences to the next frame, and a smoothed fall."""
+    """The published interpolation gives differences to the next frame and a smoothed fall."""
     qpos = turning(humanoid, np.arange(31) / FPS)
     lib = library(tmp_path, humanoid, qpos, interpolation="published")
     found = states(lib, np.array([0.5]))

@@ -31,7 +31,7 @@ def test_angular_velocity_is_in_the_world_frame(about) -> None:
     tilt = about("x", [np.pi / 2])[0]
     rotation = np.stack([_product(tilt, spin) for spin in about("z", 0.05 * np.arange(40))])
     velocity = kinematics.angular_velocities(rotation[:, None], fps=30.0)
-    # 0.05 rad * 30 = 1.5 rad/s; the last 8 frames feel the last one, which counts as still.
+    # 0.05 rad * 30 = 1.5 rad/s; the filter mixes the last 8 frames with the last one, at rest.
     np.testing.assert_allclose(velocity[:31, 0], np.tile([0.0, -1.5, 0.0], (31, 1)), atol=1e-10)
 
 

@@ -25,7 +25,7 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 
 @pytest.fixture
 def shipped(tmp_path: Path, make_humanoid_clip, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An assets folder that ships the clip march; the working directory is beside it."""
+    """An assets folder with the clip march; the working directory is next to it."""
     for num_dofs in (28, 31):
         skeleton_for_num_dofs(num_dofs)  # cached before the models' folder moves away
     folder = tmp_path / "assets" / "amp" / "motions"
@@ -131,7 +131,7 @@ LEFT_LEG_FIRST = [*range(9), 12, 13, 14, 9, 10, 11]
 
 
 def _marked(clip: MotionClip) -> MotionClip:
-    """Give every body its own velocity, so that a wrong order shows."""
+    """Give every body its own velocity, which shows a wrong order."""
     velocity = np.zeros((clip.num_frames, clip.num_bodies, 3))
     velocity[..., 0] = np.arange(clip.num_bodies)
     return dataclasses.replace(clip, linear_velocity_w=velocity, angular_velocity_w=-velocity)
@@ -194,7 +194,7 @@ def test_largest_hinge_violation_is_reported(
         fit_to_skeleton(clip, humanoid)
     (record,) = caplog.records
     message = record.getMessage()
-    assert "'left_shin' is a hinge about (0, 1, 0) but turns 0.200 rad" in message
+    assert "'left_shin' is a hinge about (0, 1, 0) but rotates 0.200 rad" in message
     assert "in frame 2" in message
 
 

@@ -59,7 +59,7 @@ def test_state_at_a_time(lib: MotionLib) -> None:
         _expect(state.root_pos, [root_x, 0.0, 0.0])
         _expect(state.root_rot, [0.0, 0.0, 0.0, 1.0])
         _expect(state.dof_pos, [0.0, 0.0, arm_z, hand_y])
-        # Velocities are those of the frame at or before the time.
+        # Velocities belong to the frame at or before the time.
         _expect(state.root_vel, [10.0 * (frame + 1), 0.0, 0.0])
         _expect(state.root_ang_vel, [0.0, frame + 1.0, 0.0])
         # 0.1 rad and 0.2, then 0.4 rad per 0.1 s; the last frame repeats the one before.
@@ -111,7 +111,7 @@ def test_motions_are_sampled_by_weight_from_torchs_generator(mixed: MotionLib) -
     ids = mixed.sample_motions(20_000)
     counts = torch.bincount(ids, minlength=3)
     assert counts[1] == 0
-    # Standard deviation sqrt(0.75 * 0.25 / 20000) = 0.003; five of them.
+    # Five standard deviations of sqrt(0.75 * 0.25 / 20000) = 0.003.
     assert counts[0].item() / 20_000 == pytest.approx(0.75, abs=0.015)
     torch.manual_seed(5)
     assert torch.equal(mixed.sample_motions(20_000), ids)
@@ -125,7 +125,7 @@ def test_times_are_uniform_in_the_clip(mixed: MotionLib) -> None:
     assert times.dtype == torch.float32
     assert (times >= 0.0).all()
     assert (times <= torch.tensor([0.2, 0.1, 0.4])).all()
-    # Standard deviation of the mean of 5000: length / sqrt(12 * 5000) = 0.004 length; five.
+    # Five standard deviations of the mean of 5000: length / sqrt(12 * 5000) = 0.004 length.
     half = torch.tensor([0.1, 0.05, 0.2])
     np.testing.assert_allclose(times.mean(dim=0) / half, 1.0, atol=0.04)
 
@@ -141,7 +141,7 @@ def test_truncated_times_stop_early_and_never_below_zero(mixed: MotionLib) -> No
 
 
 def test_times_in_proportion_to_the_motion(tmp_path: Path, humanoid, make_humanoid_clip) -> None:
-    """A clip of 2 s whose last half second moves three times as fast, and one that rests."""
+    """A clip of 2 s whose last half second moves three times as fast, and a clip at rest."""
     clip = make_humanoid_clip(61)
     root = np.array(clip.root_translation)
     speed_m_s = np.where(np.arange(61) < 45, 1.0, 3.0)
@@ -184,7 +184,7 @@ def test_repeated_frames_are_kept_with_a_warning(
     assert record.levelno == logging.WARNING
     assert "alternate between 0 and twice the true speed" in record.getMessage()
     assert "repair_repeated_frames=True" in record.getMessage()
-    # 2 and 4 rad/s in truth; frames at 20 fps.
+    # The true speeds are 2 and 4 rad/s; frames are at 20 fps.
     speeds = lib.get_motion_state([0] * 4, [0.0, 0.05, 0.1, 0.15]).dof_vel[:, 3]
     np.testing.assert_allclose(speeds, [0.0, 4.0, 0.0, 8.0], rtol=1e-5, atol=1e-5)
 

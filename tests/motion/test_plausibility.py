@@ -1,4 +1,4 @@
-"""What no body does is found in clips, and only that."""
+"""Tests that implausible motion is found in clips, and no other motion."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_convert_puts_a_clip_on_the_ground(tmp_path, humanoid, clip_of_heights, 
 def test_bodies_on_the_ground(humanoid, clip_of_heights):
     feet = ["right_foot", "left_foot"]
     assert bodies_on_ground([clip_of_heights(np.zeros(60))], humanoid) == feet
-    # A clip above the ground: its own lowest points count.
+    # The lowest points of a clip above the ground are its ground.
     assert bodies_on_ground([clip_of_heights(np.full(60, 0.4))], humanoid) == feet
     lying = clip_of_heights(np.zeros(60))
     root = np.array(lying.root_translation)

@@ -247,7 +247,7 @@ def test_files_keep_joint_coordinates(tmp_path: Path, robot: Skeleton, clip: Mot
     assert clip.dof_pos is not None
     np.testing.assert_allclose(table.dof_pos, clip.dof_pos, atol=1e-9)
     np.testing.assert_allclose(table.global_poses()[0], clip.global_poses()[0], atol=1e-9)
-    with pytest.raises(MotionFileError, match=r"beside the origins .* write a .npz file"):
+    with pytest.raises(MotionFileError, match=r"needs joints at the origins .* write a .npz file"):
         save_poselib_npy(tmp_path / "robot.npy", clip)
 
 
@@ -305,7 +305,7 @@ def test_clips_that_do_not_fit_the_robot(
         body_names=tuple(legs.body_names[body] for body in order),
         local_rotation=legs.local_rotation[:, order],
     )
-    with pytest.raises(MotionFileError, match="its bodies have another order than the model's"):
+    with pytest.raises(MotionFileError, match="the order of its bodies differs from the model's"):
         fit_to_skeleton(swapped, plain)
     with caplog.at_level(logging.WARNING):
         fit_to_skeleton(dataclasses.replace(clip, dof_pos=clip.dof_pos + 0.2), robot)
@@ -320,7 +320,7 @@ def test_rotations_off_a_hinges_axis_are_reported(plain: Skeleton, about, caplog
     with caplog.at_level(logging.WARNING):
         fit_to_skeleton(MotionClip.from_poses("off", FPS, *args, np.zeros((2, 3))), plain)
     (record,) = caplog.records
-    assert "'left_leg' is a hinge about (0.707, 0.707, 0) but turns 0.200 rad" in record.message
+    assert "'left_leg' is a hinge about (0.707, 0.707, 0) but rotates 0.200 rad" in record.message
 
 
 def test_qpos_of_another_shape_is_refused(robot: Skeleton) -> None:

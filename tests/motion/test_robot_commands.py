@@ -1,4 +1,4 @@
-"""The clip commands with robot=FILE, as a user types them: retargeting, formats, pictures."""
+"""Tests the clip commands with robot=FILE: retargeting, formats and pictures."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def convert(*words: str) -> None:
 def write_biped(lies: bool = False) -> Path:
     """Write a walker without trunk and arms as URDF; its base has no joint to the world.
 
-    If it lies, its links have y up and z to the right, as some simulators want them.
+    If it lies, its links have y up and z to the right.
     """
     legs = "".join(
         URDF_LEG.format(side=side, y=y, body=BODY, foot=FOOT)
@@ -101,11 +101,11 @@ def test_a_clip_of_the_humanoid_moves_a_robot(g1: Skeleton, caplog) -> None:
     with caplog.at_level("INFO"):
         convert("walk", "g1.npz", G1, "end_s=0.5", "fps=30")
     assert "has the bodies of mapping=g1" in caplog.text
-    assert "scaled by 0.749, the length of the legs" in caplog.text
+    assert "scaled by 0.749 (ratio of leg lengths)" in caplog.text
     assert "no joint is ever at its limit" in caplog.text
     assert "g1.npz: 16 frames at 30 Hz, 0.50 s, 29 degrees of freedom" in caplog.text
     clip, _ = load_single_clip("g1.npz", [g1])
-    # On the shipped model itself, by MuJoCo: the soles are on the ground, and the hips in between.
+    # In MuJoCo, the soles are on the ground and the hips are between them.
     model = mujoco.MjModel.from_xml_path(str(paths.assets_dir() / "mjcf" / "g1.xml"))
     data, joints = mujoco.MjData(model), read_joint_clip("g1.npz")
     assert joints.joint_names == tuple(model.joint(i).name for i in range(1, model.njnt))
@@ -227,7 +227,7 @@ def test_a_robot_that_lies_in_its_file_is_stood_up(refused, caplog) -> None:
     bodies = "".join(f"  {name}: {name}\n" for name in ("pelvis", *names))
     text = f"start_rotation: [0.7071068, 0, 0, 0.7071068]\nbodies:\n{bodies}"
     Path("biped.yaml").write_text(text.replace("pelvis: pelvis", "pelvis: root"))
-    # Without bodies they are found by their names.
+    # A mapping without bodies finds them by their names.
     Path("start.yaml").write_text(text.partition("bodies")[0])
     robot = load_clip_robot("biped.urdf").skeleton
     feet = [robot.body_names.index(f"{side}_foot") for side in ("left", "right")]
@@ -252,11 +252,11 @@ def test_mistakes_are_one_line(refused) -> None:
         (("walk", "a.npz", "robot=mjcf/h1.xml"), "robot=mjcf/h1.xml: no such file in "),
         (("walk", "a.npz", "robot=robot.xml"), "engine plugins are not loaded"),
         (("walk", "a.npy", G1), "found '.npy'; choices: .npz, .csv"),
-        (("walk", "a.npz", G1, "num_dofs=28"), "num_dofs=28 chooses a humanoid and robot="),
+        (("walk", "a.npz", G1, "num_dofs=28"), "num_dofs=28 selects a humanoid and robot="),
         (("walk", "a.npz", G1, "mapping=cmu,lafan1"), "two mappings of a BVH file's skeleton"),
         (("walk", "a.npz", G1, "mapping=g2"), "a shipped mapping: cmu, lafan1, g1"),
         (("g1_walk", "a.npz", G1, "mapping=g1"), "is a clip of this robot, which needs no mapping"),
-        (("walk", "a.npz", G1, "by_order=True"), "is no robot's file of joint coordinates"),
+        (("walk", "a.npz", G1, "by_order=True"), "holds no joint coordinates of a robot"),
         (("walk.bvh", "a.npz", G1, "file_fps=60"), "are not for a .bvh file"),
         (("walk", "a.npz", "robot=mjcf/anymal.xml"), "robot=mjcf/anymal.xml: cannot find "),
         (("g1_walk", "a.npz"), "task=RobotAMP in training, robot=FILE in the clip commands"),

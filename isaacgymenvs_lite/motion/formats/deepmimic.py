@@ -1,14 +1,9 @@
 """Reads and writes clips in DeepMimic's text format (JSON).
 
-A clip is {"Loop": "wrap" or "none", "Frames": rows of 44 numbers}: duration (s), root position,
-root rotation, and the rotations of 12 joints in the tree of our humanoid. Its axes are x
-forward, y up, z to the right; ours are x forward, y to the left, z up.
-
-A "wrap" clip is meant to repeat, each cycle displaced and turned by the one before. Here it is a
-plain clip that ends with its last frame.
-
-The format moves no hands: they keep their zero pose, in which a sword is at a right angle to the
-forearm. Sword and shield are not kept above the ground.
+A clip is {"Loop": "wrap" or "none", "Frames": rows of 44 values}. A row holds the duration (s), the
+root position and rotation, and the rotations of 12 joints in the tree of our humanoid. The file's
+axes are x forward, y up, z right; ours are x forward, y left, z up. "wrap" clips are not repeated.
+Hands keep their zero pose, because the format has no hands.
 """
 
 from __future__ import annotations
@@ -33,7 +28,7 @@ from isaacgymenvs_lite.utils import rotations
 
 PREFIX = "deepmimic:"
 _PACKAGE = "pybullet_data"
-# The clips of humanoids; the folder has a dog as well.
+# Patterns of the humanoid clips by folder; other files are of a dog.
 _PACKAGE_FOLDERS = {"": "humanoid3d_*.txt", "walker": "*.txt"}
 _SHORT_FOR = "humanoid3d_"
 
@@ -54,13 +49,13 @@ _KINDS = {
     "dance": ("humanoid3d_dance_a", "humanoid3d_dance_b"),
 }
 _KIND_OF = {clip: kind for kind, clips in _KINDS.items() for clip in clips}
-# The gaits with a steady speed on two feet: jump starts and ends at rest.
+# Gaits with a steady speed.
 _LOCOMOTION = ("walk", "turn", "run")
 _LOCOMOTION_SET, _ALL_SET = "locomotion", "all"
 
 
 class PackageClip(NamedTuple):
-    """A clip of the package by its full name; the weights of one data set have the sum 1."""
+    """A clip of the package with its full name; the weights of a data set have the sum 1."""
 
     name: str
     path: Path
@@ -73,20 +68,19 @@ def is_package_name(motion_file: str | Path) -> bool:
 
 
 def clips_in_package() -> list[str]:
-    """Return the full names of all clips, such as `deepmimic:humanoid3d_walk`."""
+    """Return the full names of all clips, for example `deepmimic:humanoid3d_walk`."""
     return [PREFIX + name for name in _paths_of_clips(PREFIX + _ALL_SET)]
 
 
 def find_in_package(motion_file: str) -> list[PackageClip]:
-    """Return the clip, or the clips of the data set, with the name `deepmimic:<name>`.
+    """Return the clip, or all clips of the data set, with the name `deepmimic:<name>`.
 
-    `walk` is short for `humanoid3d_walk`; the clips of the folder walker are `walker/turn_left0`.
-    The data set `locomotion` holds walking, turning and running, `all` every clip. In a data set
-    all kinds of movement have the same weight, and the clips of a kind share it: neither long
-    clips nor kinds with many clips outweigh the others. A clip of unknown kind is its own kind.
+    `walk` is short for `humanoid3d_walk`; `walker/turn_left0` is a clip of the folder walker. The
+    data set `locomotion` holds walking, turning and running; `all` holds every clip. Each kind of
+    movement has the same weight, and its clips share it; a clip of unknown kind is its own kind.
 
     Raises:
-        MotionFileError: the package is not installed, or has no such clip or data set.
+        MotionFileError: the package is not installed, or has no clip or data set of this name.
     """
     name = motion_file.removeprefix(PREFIX)
     paths = _paths_of_clips(motion_file)
@@ -135,7 +129,7 @@ _log = logging.getLogger(__name__)
 
 NUM_COLUMNS = 44
 DURATION, ROOT_POSITION, ROOT_ROTATION = 0, slice(1, 4), slice(4, 8)
-# The first column of the quaternion (w, x, y, z) of a body's joint, and the column of an angle.
+# First column of the quaternion (w, x, y, z) of each ball joint, then the columns of hinge angles.
 BALL_COLUMNS = {
     "torso": 8,
     "head": 12,
@@ -148,92 +142,75 @@ BALL_COLUMNS = {
 }
 HINGE_COLUMNS = {"right_shin": 20, "right_lower_arm": 29, "left_shin": 34, "left_lower_arm": 43}
 MOVED_BODIES = (*BALL_COLUMNS, *HINGE_COLUMNS)
-# Other robots' JSON clips, by their number of columns.
-_FAMILIES = {
-    19: "as motion_imitation's of quadrupeds (root position, root quaternion, 12 joints)",
-    61: "as AMP_for_hardware's of quadrupeds (root position, root quaternion, 12 joints, feet, and "
-    "all velocities)",
-}
-_ROBOT_ROWS = (
-    "Save a robot's rows as a .csv without header: root position (3, m), root quaternion "
-    "(4, xyzw), joints (rad) in the order of its MJCF file; convert it with robot=FILE"
-)
-# Durations that differ by less than this part of the usual one are rounded numbers.
+# Differences of durations below this share of the median are rounding.
 _DURATION_TOLERANCE = 1e-3
-# Published clips hold quaternions up to 0.42 off unit length (kick: blended, never normalised).
+# The lengths of published quaternions differ from 1 by up to 0.42 (in kick).
 _LENGTH_TOLERANCE = 0.5
-# A lift of less is rounding.
-_LOGGED_LIFT_M = 5e-4
-_DECIMALS = 9  # written: nanometres and nanoradians
+_LOGGED_LIFT_M = 5e-4  # smaller lifts are rounding
+_DECIMALS = 9
 
 
 def load_deepmimic(path: str | Path, skeleton: Skeleton, name: str | None = None) -> MotionClip:
-    """Read a text file in DeepMimic's format; see `clip_from_deepmimic`.
-
-    `skeleton` gives the lengths of the limbs, `name` the name of the clip, by default the path.
-    """
+    """Read a file in DeepMimic's format; the clip's name is by default the path."""
     return clip_from_deepmimic(read_json(path), skeleton, name or str(path))
 
 
 def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> MotionClip:
-    """Make a clip from the content of a DeepMimic file.
+    """Make a clip from the content of a DeepMimic file; `skeleton` gives the limb lengths.
 
-    Frames of unequal duration are resampled to equal ones. If a foot goes below the ground the
-    whole clip is lifted by a constant, so that the lowest corner of a foot just touches it. If that
-    leaves the whole body above the ground, the clip is put on it, see `plausibility.put_on_ground`.
-    Velocities are differences, smoothed as in poselib's files.
+    Frames of unequal duration are resampled. A clip with a foot below the ground is lifted by a
+    constant until the lowest corner of a foot touches the ground. If the whole body is then above
+    the ground, `plausibility.put_on_ground` lowers it again. Velocities are smoothed differences.
     """
     with reading(name, "DeepMimic clip"):
-        return _clip(data, skeleton, name)
-
-
-def _clip(data: dict[str, Any], skeleton: Skeleton, name: str) -> MotionClip:
-    check_columns(data, name)
-    rows = _rows(data, name)
-    missing = [body for body in MOVED_BODIES if body not in skeleton.body_names]
-    if missing:
-        raise MotionFileError(
-            f"{name}: a DeepMimic clip moves bodies that this humanoid lacks: {missing}"
-        )
-    root = _vector(rows[:, ROOT_POSITION])
-    local = np.zeros((len(rows), skeleton.num_bodies, 4))
-    local[..., 3] = 1.0
-    local[:, 0] = _quaternion(rows[:, ROOT_ROTATION], "root", name)
-    for body, column in BALL_COLUMNS.items():
-        quaternion = _quaternion(rows[:, column : column + 4], body, name)
-        local[:, skeleton.body_names.index(body)] = quaternion
-    for body, column in HINGE_COLUMNS.items():
-        # The hinge turns about z to the right, which is our -y: the angle changes its sign.
-        half = -0.5 * rows[:, column]
-        local[:, skeleton.body_names.index(body), 1] = np.sin(half)
-        local[:, skeleton.body_names.index(body), 3] = np.cos(half)
-    fps, local, root = _equal_durations(rows[:-1, DURATION], local, root, name)
-    lifted = _lifted(skeleton, local, root, name)
-    tree = (skeleton.body_names, skeleton.parent_indices, skeleton.local_translation)
-    clip = MotionClip.from_poses(name, fps, *tree, local, lifted)
-    if lifted is root or not is_in_air(clip, skeleton):
-        return clip
-    # A toe that a crawl drags through the ground has lifted the hands and knees off it.
-    _log.info("%s: put on the ground instead; lifted, all of it was in the air", name)
-    return put_on_ground(clip, skeleton)
+        rows = _rows(data, name)
+        missing = [body for body in MOVED_BODIES if body not in skeleton.body_names]
+        if missing:
+            raise MotionFileError(
+                f"{name}: a DeepMimic clip moves bodies that this humanoid lacks: {missing}"
+            )
+        root = _vector(rows[:, ROOT_POSITION])
+        local = np.zeros((len(rows), skeleton.num_bodies, 4))
+        local[..., 3] = 1.0
+        local[:, 0] = _quaternion(rows[:, ROOT_ROTATION], "root", name)
+        for body, column in BALL_COLUMNS.items():
+            quaternion = _quaternion(rows[:, column : column + 4], body, name)
+            local[:, skeleton.body_names.index(body)] = quaternion
+        for body, column in HINGE_COLUMNS.items():
+            # DeepMimic's hinge axis z is our -y: the angle changes its sign.
+            half = -0.5 * rows[:, column]
+            local[:, skeleton.body_names.index(body), 1] = np.sin(half)
+            local[:, skeleton.body_names.index(body), 3] = np.cos(half)
+        fps, local, root = _equal_durations(rows[:-1, DURATION], local, root, name)
+        lifted = _lifted(skeleton, local, root, name)
+        tree = (skeleton.body_names, skeleton.parent_indices, skeleton.local_translation)
+        clip = MotionClip.from_poses(name, fps, *tree, local, lifted)
+        if lifted is root or not is_in_air(clip, skeleton):
+            return clip
+        # A crawl with a toe below the ground is lifted until hands and knees are in the air.
+        _log.info("%s: lowered to the ground, because the lifted clip was in the air", name)
+        return put_on_ground(clip, skeleton)
 
 
 def _rows(data: dict[str, Any], name: str) -> FloatArray:
     """Return the frames (T, 44)."""
     rows = np.array(data.get("Frames"), dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != NUM_COLUMNS:
+        keys = f"the keys {', '.join(sorted(data)) or 'nothing'}"
+        found = f"rows of {rows.shape[1]} numbers" if rows.ndim == 2 else keys
         raise MotionFileError(
-            f"{name}: is no DeepMimic clip, expected 'Frames' with rows of {NUM_COLUMNS} numbers; "
-            f"found the keys {', '.join(sorted(data)) or 'nothing'}"
+            f"{name}: is no DeepMimic clip of the humanoid, expected 'Frames' with rows of "
+            f"{NUM_COLUMNS} numbers, found {found}; write a robot's frames as a .csv (root position"
+            " in m, root quaternion xyzw, joints in rad) and convert it with robot=FILE"
         )
-    if not np.abs(rows).max(initial=0.0) <= MAX_PLACE_M:  # NaN, too
+    if not np.abs(rows).max(initial=0.0) <= MAX_PLACE_M:  # refuses NaN, too
         raise MotionFileError(
             f"{name}: the frames hold {np.abs(rows).max():.3g}, expected seconds, metres and "
             f"radians of at most {MAX_PLACE_M:g}"
         )
     if len(rows) < 2:
         raise MotionFileError(f"{name}: holds {len(rows)} frame, expected at least 2")
-    # The last frame lasts 0 s in most files: nothing comes after it.
+    # The last frame's duration is not used; it is 0 in most files.
     durations = rows[:-1, DURATION]
     odd = (durations <= 0.0) | (durations > 1.0 / MIN_FPS)
     if odd.any():
@@ -245,30 +222,13 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
     return rows
 
 
-def check_columns(data: dict[str, Any], name: str) -> None:
-    """Raise a MotionFileError that names the family of files if rows are another robot's."""
-    rows = data.get("Frames")
-    widths = {len(row) for row in rows if isinstance(row, list)} if isinstance(rows, list) else ()
-    columns = next(iter(widths), NUM_COLUMNS)
-    if len(widths) != 1 or columns == NUM_COLUMNS:
-        return
-    family = f", {_FAMILIES[columns]}" if columns in _FAMILIES else ""
-    duration_s: Any = data.get("FrameDuration")
-    known = isinstance(duration_s, (int, float)) and duration_s > 0
-    rate = f" file_fps={1.0 / duration_s:.6g}" if known else ""
-    raise MotionFileError(
-        f"{name}: its 'Frames' have {columns} columns{family}; DeepMimic's clips of the humanoid "
-        f"have rows of {NUM_COLUMNS} numbers. {_ROBOT_ROWS}{rate}"
-    )
-
-
 def _vector(xyz: FloatArray) -> FloatArray:
-    """Turn vectors (..., 3) from y up to z up: (x, y, z) -> (x, -z, y)."""
+    """Convert vectors (..., 3) from y up to z up: (x, y, z) -> (x, -z, y)."""
     return np.stack((xyz[..., 0], -xyz[..., 2], xyz[..., 1]), axis=-1)
 
 
 def _quaternion(wxyz: FloatArray, body: str, name: str) -> FloatArray:
-    """Turn quaternions (T, 4) w x y z, y up, into unit quaternions x y z w, z up."""
+    """Convert quaternions (T, 4) wxyz, y up, into unit quaternions xyzw, z up."""
     length = np.linalg.norm(wxyz, axis=-1, keepdims=True)
     deviation = float(np.abs(length - 1.0).max())
     if deviation > _LENGTH_TOLERANCE:
@@ -281,14 +241,11 @@ def _quaternion(wxyz: FloatArray, body: str, name: str) -> FloatArray:
 
 
 def _equal_durations(
-    durations: FloatArray,
-    local: FloatArray,
-    root: FloatArray,
-    name: str,
+    durations: FloatArray, local: FloatArray, root: FloatArray, name: str
 ) -> tuple[float, FloatArray, FloatArray]:
-    """Return fps, rotations and root positions in frames of equal duration, same first and last.
+    """Resample to frames of equal duration; return fps, rotations and root positions.
 
-    `durations` (T - 1,) are from each frame to the next.
+    `durations` (T - 1,) s lie between the frames. The first and the last frame are kept.
     """
     usual = float(np.median(durations))
     total = float(durations.sum())
@@ -306,13 +263,8 @@ def _equal_durations(
     return num_steps / total, turns, places
 
 
-def _lifted(
-    skeleton: Skeleton,
-    local: FloatArray,
-    root: FloatArray,
-    name: str,
-) -> FloatArray:
-    """Return the root positions (T, 3) m, raised so that no corner of a foot is below z = 0."""
+def _lifted(skeleton: Skeleton, local: FloatArray, root: FloatArray, name: str) -> FloatArray:
+    """Return the root positions (T, 3) m, raised until no corner of a foot is below z = 0."""
     if not skeleton.foot_body_ids:
         return root
     positions, turns = kinematics.forward_kinematics(
@@ -328,16 +280,16 @@ def _lifted(
 
 
 def save_deepmimic(path: str | Path, clip: MotionClip) -> Path:
-    """Write a clip of the humanoid, with `Loop` "none"; returns the path.
+    """Write a clip of the humanoid, with `Loop` "none", and return the path.
 
-    The format has no hands, sword and shield, velocities and limb lengths.
+    The file lacks hands, sword, shield, velocities and limb lengths.
     """
     clip.validate()
     missing = [body for body in MOVED_BODIES if body not in clip.body_names]
     if missing:
         raise MotionFileError(f"{clip.name}: has no {', '.join(missing)}, which DeepMimic moves")
     rows = np.zeros((clip.num_frames, NUM_COLUMNS))
-    rows[:-1, DURATION] = 1.0 / clip.fps  # nothing comes after the last frame: 0 s
+    rows[:-1, DURATION] = 1.0 / clip.fps
     rows[:, ROOT_POSITION] = _vector_y_up(np.asarray(clip.root_translation, dtype=np.float64))
     turns = np.asarray(clip.local_rotation, dtype=np.float64)
     rows[:, ROOT_ROTATION] = _quaternion_y_up(turns[:, 0])
@@ -345,7 +297,7 @@ def save_deepmimic(path: str | Path, clip: MotionClip) -> Path:
         rows[:, column : column + 4] = _quaternion_y_up(turns[:, clip.body_names.index(body)])
     for body, column in HINGE_COLUMNS.items():
         turn = torch.from_numpy(turns[:, clip.body_names.index(body)])
-        # DeepMimic's hinge turns about our -y.
+        # DeepMimic's hinge axis is our -y.
         rows[:, column] = -rotations.quat_log(turn)[:, 1].numpy()
     text = json.dumps({"Loop": "none", "Frames": rows.round(_DECIMALS).tolist()})
     with written_clip(Path(path)) as partial:
@@ -354,11 +306,11 @@ def save_deepmimic(path: str | Path, clip: MotionClip) -> Path:
 
 
 def _vector_y_up(xyz: FloatArray) -> FloatArray:
-    """Turn vectors (T, 3) from z up to y up: (x, y, z) -> (x, z, -y)."""
+    """Convert vectors (T, 3) from z up to y up: (x, y, z) -> (x, z, -y)."""
     return np.stack((xyz[:, 0], xyz[:, 2], -xyz[:, 1]), axis=-1)
 
 
 def _quaternion_y_up(xyzw: FloatArray) -> FloatArray:
-    """Turn quaternions (T, 4) x y z w, z up, into w x y z, y up."""
+    """Convert quaternions (T, 4) xyzw, z up, into wxyz, y up."""
     turned = np.concatenate((_vector_y_up(xyzw[:, :3]), xyzw[:, 3:]), axis=-1)
     return rotations.wxyz_from_xyzw(torch.from_numpy(turned)).numpy()

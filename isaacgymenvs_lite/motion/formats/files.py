@@ -1,4 +1,4 @@
-"""What readers and writers of clips share: one boundary for errors, and atomic writing."""
+"""Helpers of clip readers and writers: errors in one line, and atomic writing."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from isaacgymenvs_lite.utils import files
 
 @contextmanager
 def reading(path: str | Path, kind: str) -> Iterator[None]:
-    """Turn whatever a broken file raises in a reader of `kind` into one error that names the file.
+    """Convert any exception of a reader into a MotionFileError that names the file and its `kind`.
 
-    Numpy does not warn meanwhile of numbers that overflow: a clip with such numbers is refused.
+    It also silences numpy's overflow warnings, because `validate` refuses infinite values.
     """
     try:
         with np.errstate(all="ignore"):
@@ -28,15 +28,15 @@ def reading(path: str | Path, kind: str) -> Iterator[None]:
         raise
     except FileNotFoundError as error:
         raise MotionFileError(f"{path}: no such file") from error
-    except Exception as error:  # numpy, zipfile, pickle, csv and pybvh raise nearly anything
+    except Exception as error:  # numpy, zipfile, pickle, csv and pybvh raise many types
         reason = one_line(error) or type(error).__name__
         raise MotionFileError(f"{path}: is no {kind} that can be read ({reason})") from error
 
 
 def native_floats(array: npt.NDArray[Any]) -> npt.NDArray[np.floating]:
-    """Return numbers as float32 or float64 of this machine; other types are converted.
+    """Return an array as native float32 or float64.
 
-    Precision is kept: half precision becomes float32; integers and long doubles become float64.
+    Half precision becomes float32; integers and long doubles become float64.
     """
     if array.dtype in (np.float32, np.float64) and array.dtype.isnative:
         return array
@@ -50,15 +50,15 @@ def read_json(path: str | Path) -> dict[str, Any]:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
     if not isinstance(data, dict):
         raise MotionFileError(
-            f"{path}: holds a JSON {type(data).__name__}, expected the object of a clip; a table of"
-            " numbers is read from a .csv with commas"
+            f"{path}: holds a JSON {type(data).__name__}, expected the object of a clip; write a"
+            " table of numbers as .csv"
         )
     return data
 
 
 @contextmanager
 def written_clip(path: Path) -> Iterator[Path]:
-    """Write a clip as `files.atomic_write` does, with errors that speak of a clip."""
+    """Yield a temporary path for a clip, which replaces `path` at the end."""
     try:
         with files.atomic_write(path) as partial:
             yield partial
@@ -70,7 +70,7 @@ def written_clip(path: Path) -> Iterator[Path]:
 
 
 def check_output(path: Path, suffixes: Collection[str], overwrite: bool) -> None:
-    """Raise a MotionFileError for an output that cannot be written, before any work is done."""
+    """Raise a MotionFileError for an output path that cannot be written."""
     if path.suffix not in suffixes:
         raise MotionFileError(
             f"{path}: the suffix determines the format of the output, found '{path.suffix}'; "

@@ -1,18 +1,15 @@
-"""Clips as tables of joint angles (`.csv`), of the humanoids and of robots.
+"""Reads and writes clips as tables of joint angles (`.csv`), for the humanoids and for robots.
 
 This project's header names each column and its unit: `time [s]`, `root_x [m]`, ..., `root_qx`, ...,
-then every degree of freedom, such as `abdomen_x [rad]`; see docs/motion_formats.md. Two more forms
+then every degree of freedom, for example `abdomen_x [rad]` (docs/motion_formats.md). Two more forms
 of robots' tables are read:
 
-- Without a header: root position (m), root quaternion xyzw, joint angles (rad), 30 fps. Unitree's
-  retargeted LAFAN1 has it (README of unitreerobotics/LAFAN1_Retargeting_Dataset on Hugging Face),
-  and mjlab and whole_body_tracking read it (scripts/csv_to_npz.py). Kimodo's tables have wxyz
-  (convert_g1_csv_to_proto.py, see below).
-- BONES-SEED: `Frame`, `root_translateX`, ... in cm, `root_rotateX`, ... in degrees about the fixed
-  axes x, y, z in this order, then `left_hip_pitch_joint_dof`, ... in degrees, 120 fps. Layout,
-  units and rate are what public converters use (data/scripts/convert_g1_csv_to_proto.py of
-  NVlabs/ProtoMotions, scripts/motion/bones_seed_csv_to_npz.py of UniLab, sonic2mimic.py of an
-  mjlab fork); the data set itself was not read.
+- A table without a header holds root position (m), root quaternion xyzw and joint angles (rad) at
+  30 fps. Source: Unitree's retargeted LAFAN1 (README of
+  unitreerobotics/LAFAN1_Retargeting_Dataset). Kimodo's tables have wxyz.
+- BONES-SEED has `Frame`, `root_translateX`, ... in cm, `root_rotateX`, ... in degrees about the
+  fixed axes x, y, z in this order, then `left_hip_pitch_joint_dof`, ... in degrees, at 120 fps.
+  Source: NVlabs/ProtoMotions, data/scripts/convert_g1_csv_to_proto.py; not tested with the data.
 """
 
 from __future__ import annotations
@@ -40,13 +37,13 @@ _TIME = "time"
 _POSITION = ("root_x", "root_y", "root_z")
 _ROTATION = ("root_qx", "root_qy", "root_qz", "root_qw")
 _OWN = (_TIME, *_POSITION, *_ROTATION)
-# Factors to the unit of the clip; the first of each kind is the one that is written.
+# Factors to m, s and rad; files are written with the first unit.
 _TIME_UNITS = {"s": 1.0, "ms": 1e-3}
 _LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
 _COLUMN = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
 _FPS_LINE = re.compile(r"#\s*fps\s*[:=]\s*(?P<fps>\S+)\s*", re.IGNORECASE)
-# How much a time step may differ from the others; times are often rounded to milliseconds.
+# Relative tolerance of a time step: times are often rounded to milliseconds.
 _STEP_TOLERANCE = 0.1
 _LAFAN1_FPS, _BONES_FPS = 30.0, 120.0
 _ROOT_WIDTH = 7
@@ -63,7 +60,7 @@ def _sides(joints: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{side}_{joint}_joint" for side in ("left", "right") for joint in joints)
 
 
-# Orders of joints in Unitree's LAFAN1, as its README lists them, and in the robots' model files.
+# Joint orders of Unitree's LAFAN1 (its README) and of the robots' model files.
 G1_29 = (
     *_sides(("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")),
     *("waist_yaw_joint", "waist_roll_joint", "waist_pitch_joint"),
@@ -79,7 +76,7 @@ _H1_19 = (
     "torso_joint",
     *_sides(_ARM_7[:4]),
 )
-# A table without a header is recognised by its number of joints.
+# Tables without a header are recognised by their number of joints.
 _BY_NUMBER = {len(names): names for names in (G1_29, _H1_2_27, _H1_19)}
 _ARMS_START = ("",) * 3  # the arms begin three levels below the root
 _LEVELS = itertools.zip_longest(
@@ -88,13 +85,13 @@ _LEVELS = itertools.zip_longest(
     fillvalue="",
 )
 G1_29_BREADTH_FIRST = tuple(joint for level in _LEVELS for joint in level if joint)
-"""The order of Isaac Lab, which numbers bodies and joints level by level."""
+"""Isaac Lab's joint order, breadth first."""
 
 
 def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Path:
-    """Write a clip whose bodies are in the order of `skeleton`; returns the path.
+    """Write a clip whose bodies are in the order of `skeleton`, and return the path.
 
-    The format has no velocities, limb lengths and rotations of hinges out of their axes.
+    The file lacks velocities, limb lengths, and rotations of hinges out of their axes.
     """
     clip.validate()
     root = (clip.root_translation, clip.local_rotation[:, 0])
@@ -103,25 +100,24 @@ def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Pa
 
 
 def save_robot_csv(path: str | Path, clip: JointClip) -> Path:
-    """Write a robot's clip, with names of its joints; as `save_joint_csv`."""
+    """Write a robot's clip, which has joint names, and return the path."""
     clip.validate()
     table = np.concatenate((clip.root_pos, clip.root_rot, clip.dof_pos), axis=1, dtype=np.float64)
     return _write_table(path, table, clip.joint_names or (), clip.fps)
 
 
 def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
-    """Read a clip; the columns may be in any order, angles in rad or deg, lengths in m, cm, mm.
+    """Read a clip; the DOFs in the header determine its skeleton.
 
-    Without a column `time` the first line is `# fps: 30`. The DOFs in the header determine which of
-    the skeletons it is.
+    The columns may be in any order, angles in rad or deg, lengths in m, cm or mm. A file without
+    the column `time` needs the line `# fps: 30`.
     """
     with reading(path, "table of joint angles"):
         lines, fps = _read_lines(path)
         names, units = _read_header(lines[0], path)
-        # The humanoid with most of the named DOFs; of equal ones the one with fewest others.
+        # The humanoid that has most of the named DOFs and, among equals, fewest other DOFs.
         skeleton = max(
-            skeletons,
-            key=lambda body: (len(set(body.dof_names) & set(names)), -body.num_dofs),
+            skeletons, key=lambda body: (len(set(body.dof_names) & set(names)), -body.num_dofs)
         )
         known = (*_OWN, *skeleton.dof_names)
         others = [name for name in names if name not in known]
@@ -147,7 +143,7 @@ def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionCli
 
 
 def is_robot_csv(path: str | Path) -> bool:
-    """Return whether a table is a robot's: most of its joints are not a shipped humanoid's."""
+    """Return whether a table has no header, or mostly joints that no shipped humanoid has."""
     header = _read_lines(path)[0][0]
     if _is_number(header[0]):
         return True
@@ -159,9 +155,9 @@ def is_robot_csv(path: str | Path) -> bool:
 
 
 def load_robot_csv(path: str | Path, fps: float | None = None) -> JointClip:
-    """Read a robot's table in any of the three forms; errors as of `load_joint_csv`.
+    """Read a robot's table in any of the three forms.
 
-    `fps` is the rate of a file without one; None: as usual for its form.
+    `fps` is the rate of a file without a rate; None uses the default of its form.
     """
     lines, file_fps = _read_lines(path)
     fps = file_fps or fps
@@ -210,7 +206,7 @@ def load_robot_csv(path: str | Path, fps: float | None = None) -> JointClip:
 
 
 def _read_lines(path: str | Path) -> tuple[list[list[str]], float | None]:
-    """Return the cells of the header and of the rows, and the rate of the line `# fps:`."""
+    """Return the cells of all lines, header first, and the rate of the line `# fps:`."""
     lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     comments = [line for line in lines if line.startswith("#")]
     rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
@@ -234,7 +230,7 @@ def _read_header(cells: list[str], path: str | Path) -> tuple[list[str], list[st
     """Return the names of the columns, and their units."""
     header = [match for text in cells if (match := _COLUMN.fullmatch(text))]
     if len(header) != len(cells):
-        raise MotionFileError(f"{path}: the header has a column that is not like 'name [unit]'")
+        raise MotionFileError(f"{path}: the header has a column that is not 'name [unit]'")
     names = [match["name"] for match in header]
     double = sorted({name for name in names if names.count(name) > 1})
     if double:
@@ -254,7 +250,7 @@ def _check_columns(names: list[str], needed: Iterable[str], path: str | Path) ->
 def _read_columns(
     names: list[str], units: list[str | None], rows: list[list[str]], path: str | Path
 ) -> dict[str, FloatArray]:
-    """Return the columns (T) by their names, in s, m and rad."""
+    """Return the columns (T,) by name, in s, m and rad."""
     table = _read_numbers(rows, len(names), path)
     column = {}
     for i, (name, unit) in enumerate(zip(names, units, strict=True)):
@@ -282,7 +278,7 @@ def _units_of(name: str) -> dict[str, float]:
 
 
 def _read_numbers(rows: list[list[str]], width: int, path: str | Path) -> FloatArray:
-    """Return the rows as finite numbers (T, width)."""
+    """Return the rows as finite values (T, width)."""
     for i, row in enumerate(rows):
         if len(row) != width:
             raise MotionFileError(
@@ -291,12 +287,12 @@ def _read_numbers(rows: list[list[str]], width: int, path: str | Path) -> FloatA
     table = np.array(rows, dtype=np.float64)
     if not np.isfinite(table).all():
         row = int((~np.isfinite(table)).any(axis=1).argmax())
-        raise MotionFileError(f"{path}: row {row + 1} holds a number that is NaN or infinite")
+        raise MotionFileError(f"{path}: row {row + 1} holds NaN or infinity")
     return table
 
 
 def _frame_rate(column: Mapping[str, FloatArray], fps: float | None, path: str | Path) -> float:
-    """Return the frames per second that the column `time` shows; without it, `fps`."""
+    """Return the frames per second of the column `time`, or `fps` without this column."""
     if _TIME not in column:
         if fps is None:
             raise MotionFileError(
@@ -309,8 +305,8 @@ def _frame_rate(column: Mapping[str, FloatArray], fps: float | None, path: str |
     mean = float(steps.mean())
     if mean <= 0.0 or np.abs(steps - mean).max() > _STEP_TOLERANCE * mean:
         raise MotionFileError(
-            f"{path}: the time steps are {steps.min():g} to {steps.max():g} s, expected equal ones "
-            "above 0"
+            f"{path}: the time steps are {steps.min():g} to {steps.max():g} s, expected equal steps"
+            " above 0"
         )
     return 1.0 / mean
 
@@ -318,7 +314,7 @@ def _frame_rate(column: Mapping[str, FloatArray], fps: float | None, path: str |
 def _write_table(
     path: str | Path, table: FloatArray, joint_names: Sequence[str], fps: float
 ) -> Path:
-    """Write times, and the root's position and rotation and the joints (T, 7 + D) in m and rad."""
+    """Write the time and `table` (T, 7 + D): root position (m), quaternion xyzw, joints (rad)."""
     table = np.concatenate((np.arange(len(table))[:, None] / fps, table), axis=1)
     names = (*_OWN, *joint_names)
     units = [next(iter(_units_of(name)), None) for name in names]

@@ -23,14 +23,13 @@ _OPTIONAL_KEYS = ("dof_pos",)
 _NEEDED_KEYS = ("fps", "body_names", "parent_indices", *_FLOAT_KEYS)
 _VELOCITY_KEYS = ("linear_velocity_w", "angular_velocity_w")
 _KNOWN_KEYS = ("version", *_NEEDED_KEYS, *_VELOCITY_KEYS, *_OPTIONAL_KEYS)
-_EXPECTED = ".npz archive of plain arrays, as motion.formats.npz.save_npz writes it,"
+_EXPECTED = ".npz archive of plain arrays (see motion.formats.npz.save_npz)"
 
 
 def save_npz(path: str | Path, clip: MotionClip) -> Path:
-    """Write a clip and return its path; `.npz` is added to `path` where it is missing.
+    """Write a clip and return its path, with `.npz` added to a `path` without it.
 
-    The bytes depend on the clip only (no time stamps), and a file of the same name is replaced in
-    one step.
+    The bytes depend only on the clip. An existing file is replaced in one step.
     """
     clip.validate()
     arrays = {
@@ -61,7 +60,7 @@ def write_arrays(
 
 
 def load_npz(path: str | Path) -> MotionClip:
-    """Read a clip; velocities that the file does not hold are computed from its poses."""
+    """Read a clip; missing velocities are computed from the poses."""
     with reading(path, _EXPECTED):
         arrays = read_arrays(path, _KNOWN_KEYS)
         missing = [key for key in _NEEDED_KEYS if key not in arrays]
@@ -90,16 +89,16 @@ def load_npz(path: str | Path) -> MotionClip:
 
 
 def read_arrays(path: str | Path, keys: Iterable[str]) -> dict[str, npt.NDArray]:
-    """Return the arrays of an archive that `keys` names; other members are not unpacked.
+    """Return the arrays of an archive named in `keys`; other members are not unpacked.
 
-    Works within `reading`: a damaged archive raises anything.
+    Call it within `reading`, because a damaged archive may raise any exception.
     """
     with opened(path) as archive:
         return {key: archive[key] for key in keys if key in archive.files}
 
 
 def opened(path: str | Path) -> np.lib.npyio.NpzFile:
-    """Return an archive of arrays, opened; see `read_arrays`."""
+    """Open an archive of arrays; call it within `reading`."""
     archive = np.load(path, allow_pickle=False)
     if isinstance(archive, np.ndarray):
         raise MotionFileError(f"{path}: holds a single array (.npy), expected an .npz archive")
@@ -107,14 +106,14 @@ def opened(path: str | Path) -> np.lib.npyio.NpzFile:
 
 
 def check_kind(array: npt.NDArray, key: str, kinds: str, path: str | Path) -> None:
-    """Raise a MotionFileError for an array of other than the expected numpy kinds."""
+    """Raise a MotionFileError if the numpy kind of an array is not in `kinds`."""
     words = {"f": "floats", "U": "strings", "iu": "integers", "fiu": "numbers"}
     if array.dtype.kind not in kinds:
         raise MotionFileError(f"{path}: {key} holds {array.dtype}, expected {words[kinds]}")
 
 
 def one_number(array: npt.NDArray, key: str, path: str | Path) -> float:
-    """Return the only number in an array; MotionFileError for another array."""
+    """Return the only number in an array, or raise a MotionFileError."""
     check_kind(array, key, "fiu", path)
     if array.size != 1:
         raise MotionFileError(f"{path}: {key} has shape {array.shape}, expected one number")
@@ -122,7 +121,7 @@ def one_number(array: npt.NDArray, key: str, path: str | Path) -> float:
 
 
 def check_version(arrays: Mapping[str, npt.NDArray], path: str | Path) -> None:
-    """Raise a MotionFileError for a clip of this project's that a newer program wrote."""
+    """Raise a MotionFileError for a clip of this project's format in another version."""
     version = arrays.get("version", np.array(VERSION))
     if version.size != 1 or version.item() != VERSION:
         raise MotionFileError(

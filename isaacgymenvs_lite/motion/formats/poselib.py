@@ -1,8 +1,7 @@
 """Reads and writes clips in the poselib format (`SkeletonMotion`) of IsaacGymEnvs and ASE.
 
-Clips are read from `.npy` or `.json` and written as `.npy`. Such a file is a pickle: numpy's own
-header, then one object array that holds a dictionary. Numpy 1, which Isaac Gym's Python needs, does
-not have the module names of numpy 2: the names of numpy 1, which both have, are written.
+Clips are read from `.npy` or `.json` and written as `.npy`: numpy's header, then a pickled
+dictionary. The pickle uses numpy 1's module names, which numpy 1 (for Isaac Gym) and 2 can load.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy
 
 _CLIP_TAG = "SkeletonMotion"
 _POSE_TAG = "SkeletonState"
-# As in the published files; there a module name is plain text up to the end of its line.
+# The published files' protocol; it stores module names as lines of text.
 _PICKLE_PROTOCOL = 3
 _NEW_MODULES, _OLD_MODULES = "numpy._core.", "numpy.core."
 
@@ -38,42 +37,39 @@ def load_poselib_npy(path: str | Path) -> MotionClip:
 
 
 def clip_from_poselib(data: Any, name: str) -> MotionClip:
-    """Make a clip from the dictionary that poselib stores.
+    """Make a clip from poselib's dictionary; `name` is the file's path.
 
-    Arrays may be numpy arrays or, as in the `.json` variant, {"__ndarray__": nested lists, "dtype":
-    name, "shape": sizes}. `name` is the file's path.
+    An array of a `.json` file is {"__ndarray__": nested lists, "dtype": name, "shape": sizes}.
     """
     with reading(name, "poselib clip (SkeletonMotion)"):
-        return _clip(data, name)
-
-
-def _clip(data: Any, name: str) -> MotionClip:
-    tag = data.get("__name__") if isinstance(data, Mapping) else None
-    if tag != _CLIP_TAG:
-        hint = " (a single pose, such as a T-pose, has no duration)" if tag == _POSE_TAG else ""
-        found = ", ".join(sorted(str(key) for key in data)) or "nothing"
-        raise MotionFileError(
-            f"{name}: __name__ is {tag!r}{hint}, expected '{_CLIP_TAG}'; found the keys {found}"
+        tag = data.get("__name__") if isinstance(data, Mapping) else None
+        if tag != _CLIP_TAG:
+            hint = " (a single pose, such as a T-pose, has no duration)" if tag == _POSE_TAG else ""
+            found = ", ".join(sorted(str(key) for key in data)) or "nothing"
+            raise MotionFileError(
+                f"{name}: __name__ is {tag!r}{hint}, expected '{_CLIP_TAG}'; found the keys {found}"
+            )
+        tree, fps = _item(data, "skeleton_tree", name), _item(data, "fps", name)
+        if isinstance(fps, Mapping):  # the 0-d array of IsaacGymEnvs' clips
+            fps = fps["__ndarray__"]
+        clip = MotionClip(
+            name=name,
+            fps=float(np.asarray(fps).item()),
+            body_names=tuple(str(node) for node in np.ravel(_item(tree, "node_names", name))),
+            parent_indices=tuple(
+                int(body) for body in _array(tree, "parent_indices", name).ravel()
+            ),
+            local_translation=native_floats(_array(tree, "local_translation", name)),
+            local_rotation=native_floats(_array(data, "rotation", name)),
+            root_translation=native_floats(_array(data, "root_translation", name)),
+            linear_velocity_w=native_floats(_array(data, "global_velocity", name)),
+            angular_velocity_w=native_floats(_array(data, "global_angular_velocity", name)),
         )
-    tree, fps = _item(data, "skeleton_tree", name), _item(data, "fps", name)
-    if isinstance(fps, Mapping):  # a 0-d array, as in IsaacGymEnvs' clips
-        fps = fps["__ndarray__"]
-    clip = MotionClip(
-        name=name,
-        fps=float(np.asarray(fps).item()),
-        body_names=tuple(str(node) for node in np.ravel(_item(tree, "node_names", name))),
-        parent_indices=tuple(int(body) for body in _array(tree, "parent_indices", name).ravel()),
-        local_translation=native_floats(_array(tree, "local_translation", name)),
-        local_rotation=native_floats(_array(data, "rotation", name)),
-        root_translation=native_floats(_array(data, "root_translation", name)),
-        linear_velocity_w=native_floats(_array(data, "global_velocity", name)),
-        angular_velocity_w=native_floats(_array(data, "global_angular_velocity", name)),
-    )
-    clip.validate()
-    if not _item(data, "is_local", name):
-        local_rotation = kinematics.local_rotations(clip.parent_indices, clip.local_rotation)
-        clip = dataclasses.replace(clip, local_rotation=local_rotation)
-    return clip
+        clip.validate()
+        if not _item(data, "is_local", name):
+            local_rotation = kinematics.local_rotations(clip.parent_indices, clip.local_rotation)
+            clip = dataclasses.replace(clip, local_rotation=local_rotation)
+        return clip
 
 
 def _item(data: Mapping[str, Any], key: str, name: str) -> Any:
@@ -84,7 +80,7 @@ def _item(data: Mapping[str, Any], key: str, name: str) -> Any:
 
 
 def _array(data: Mapping[str, Any], key: str, name: str) -> npt.NDArray[Any]:
-    """Return the array of numbers {arr, context: {dtype}} under `key`, cast to its dtype."""
+    """Return the array under `key`, {arr, context: {dtype}}, cast to this dtype."""
     item = _item(data, key, name)
     stored = _item(item, "arr", name)
     if isinstance(stored, Mapping):
@@ -92,18 +88,18 @@ def _array(data: Mapping[str, Any], key: str, name: str) -> npt.NDArray[Any]:
     array, cast_to = np.asarray(stored), np.dtype(str(_item(item, "context", name)["dtype"]))
     if array.dtype.kind not in "fiu" or cast_to.kind not in "fiu":
         raise MotionFileError(
-            f"{name}: {key} holds {array.dtype} to be read as {cast_to}, expected numbers"
+            f"{name}: {key} holds {array.dtype} and declares {cast_to}, expected numbers"
         )
     return array.astype(cast_to)
 
 
 def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:
-    """Write a clip in single precision, as the published ones are; returns the path."""
+    """Write a clip in single precision, as in the published files, and return the path."""
     clip.validate()
     if np.ndim(clip.local_translation) != 2:
         raise MotionFileError(
-            f"{clip.name}: joints of its skeleton are beside the origins of their bodies, for which"
-            " poselib's format has no place; write a .npz file"
+            f"{clip.name}: poselib's format needs joints at the origins of their bodies, but this"
+            " skeleton has other joints; write a .npz file"
         )
     tree = OrderedDict(
         node_names=list(clip.body_names),
@@ -118,7 +114,7 @@ def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:
         global_angular_velocity=_tagged(clip.angular_velocity_w, "float32"),
         skeleton_tree=tree,
         is_local=True,
-        # A whole number where it is one: poselib's own scripts index with it.
+        # poselib's scripts use fps as an index and need an int.
         fps=int(clip.fps) if float(clip.fps).is_integer() else float(clip.fps),
         __name__=_CLIP_TAG,
     )
@@ -141,7 +137,7 @@ def _with_old_names(data: bytes) -> bytes:
     parts, done = [], 0
     for code, argument, position in pickletools.genops(data):
         if code.name == "GLOBAL" and str(argument).startswith(_NEW_MODULES):
-            start = (position or 0) + 1  # behind the code of the instruction
+            start = (position or 0) + 1  # after the opcode
             parts += [data[done:start], _OLD_MODULES.encode()]
             done = start + len(_NEW_MODULES)
     return b"".join((*parts, data[done:]))

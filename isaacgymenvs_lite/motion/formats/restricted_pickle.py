@@ -1,10 +1,9 @@
-"""Reads pickled dictionaries of clips (`.npy`, `.pkl`) without running anything from the file.
+"""Reads pickled dictionaries of clips (`.npy`, `.pkl`) without running code from the file.
 
-A pickle is a program that may call any function it can name: `numpy.load(allow_pickle=True)` runs
-any code in the file. Here the names that occur in real clips stand for functions and classes of
-this module, and every other name is refused. numpy's own classes would trust the memory that a file
-describes. joblib's files, also compressed ones, are pickles with the bytes of each array after its
-description.
+A pickle may call any function by its name. This module maps the names that occur in clips to its
+own functions and classes, and refuses all other names. numpy's own classes are replaced because
+they trust the memory layout that the file describes. A joblib file, also a compressed one, is a
+pickle in which the bytes of each array follow its description.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ from isaacgymenvs_lite.motion.formats.files import reading
 
 _EXPECTED = "poselib clip (.npy of one pickled SkeletonMotion)"
 _OBJECT_DTYPE = "O8"
-# How joblib's files begin if they are compressed by zlib or gzip.
+# First bytes of joblib's files that are compressed by zlib or gzip.
 _COMPRESSED, _ZLIB_OR_GZIP = (b"x", b"\x1f\x8b"), 32 + zlib.MAX_WBITS
 
 
 def load_object_npy(path: str | Path) -> Any:
-    """Return the one pickled object of a `.npy` file: containers, text, numbers, numpy arrays.
+    """Return the pickled object of a `.npy` file: containers, text, numbers and numpy arrays.
 
-    Raises MotionFileError if the file imports a name outside numpy's arrays, or is damaged.
+    Raises MotionFileError if the file imports another name, or is damaged.
     """
     with reading(path, _EXPECTED), Path(path).open("rb") as stream:
         is_first_version = np.lib.format.read_magic(stream) == (1, 0)
@@ -50,9 +49,9 @@ def load_object_npy(path: str | Path) -> Any:
 
 
 def load_pickle(path: str | Path, expected: str) -> Any:
-    """Return a pickle file's plain values and numpy arrays, as `load_object_npy`.
+    """Return the object of a pickle file, see `load_object_npy`.
 
-    `expected` is what the file should be, for messages.
+    `expected` names the file's format in messages.
     """
     with reading(path, expected):
         content = Path(path).read_bytes()
@@ -62,7 +61,7 @@ def load_pickle(path: str | Path, expected: str) -> Any:
 
 
 class _Dtype:
-    """Stands in for a numpy.dtype of plain numbers or text, or of objects."""
+    """Replaces numpy.dtype for numbers, text and objects."""
 
     order = "="
 
@@ -73,14 +72,14 @@ class _Dtype:
         self.order = state[1]
 
     def values(self, content: bytes) -> npt.NDArray[Any]:
-        """Return the values (N) in raw memory; ValueError for a dtype of objects."""
+        """Return the values (N,) in raw memory; raise ValueError for a dtype of objects."""
         if not re.fullmatch(r"[<>=|]([fiub]\d|U\d+)", self.order + self.name):
             raise ValueError(f"an array of type '{self.order}{self.name}'")
         return np.frombuffer(content, self.order + self.name).copy()
 
 
 class _Array:
-    """Stands in for a numpy.ndarray, whose content follows as its state."""
+    """Replaces numpy.ndarray; the pickle passes its content to `__setstate__`."""
 
     values: npt.NDArray[Any] | None = None
     objects: list[Any]
@@ -97,7 +96,7 @@ class _Array:
 
 
 class _JoblibArray(_Array):
-    """Stands in for joblib's NumpyArrayWrapper, whose content follows in the file."""
+    """Replaces joblib's NumpyArrayWrapper; its content follows in the file."""
 
     stream: BinaryIO
 
@@ -110,49 +109,41 @@ class _JoblibArray(_Array):
         super().__setstate__((1, shape, dtype, state["order"] == "F", self.stream.read(size)))
 
 
-def _scalar(dtype: _Dtype, content: bytes) -> float | str:
-    return dtype.values(content).item()
-
-
-def _from_buffer(
-    content: bytes, dtype: _Dtype, shape: Any, order: Any, axes: Any = None
-) -> npt.NDArray[Any]:
-    """Stand in for numpy's function of this name, by which protocol 5 makes an array."""
-    values = dtype.values(content)
-    if order == "K":  # the axes were exchanged
-        return values.reshape(shape).transpose(axes)
-    return values.reshape(shape, order=order)
-
-
 class _Unpickler(pickle.Unpickler):
-    """Knows a few names, which stand for the classes and functions above, and refuses all others.
-
-    Functions are made for each file, because an instruction of a pickle can set their attributes.
-    """
+    """Maps the names of clips to the classes above and to local functions; refuses other names."""
 
     def __init__(self, stream: BinaryIO, path: str | Path) -> None:
         super().__init__(stream)
         self._path = path
-        joblib = type("_JoblibArray", (_JoblibArray,), {"stream": stream})
+
+        # A pickle can set attributes of functions, therefore each file gets new ones.
+        def scalar(dtype: _Dtype, content: bytes) -> float | str:
+            return dtype.values(content).item()
+
+        def from_buffer(
+            content: bytes, dtype: _Dtype, shape: Any, order: Any, axes: Any = None
+        ) -> npt.NDArray[Any]:
+            values = dtype.values(content)
+            if order == "K":  # the axes were exchanged
+                return values.reshape(shape).transpose(axes)
+            return values.reshape(shape, order=order)
+
         self._names: dict[str, Any] = {
             "collections.OrderedDict": dict,
             "numpy.ndarray": None,  # an argument of _reconstruct
             "numpy.dtype": _Dtype,
-            "joblib.numpy_pickle.NumpyArrayWrapper": joblib,
+            "joblib.numpy_pickle.NumpyArrayWrapper": type(
+                "_JoblibArray", (_JoblibArray,), {"stream": stream}
+            ),
             "numpy.core.multiarray._reconstruct": _Array,
-            "numpy.core.multiarray.scalar": lambda *arguments: _scalar(*arguments),
-            "numpy.core.numeric._frombuffer": lambda *arguments: _from_buffer(*arguments),
+            "numpy.core.multiarray.scalar": scalar,
+            "numpy.core.numeric._frombuffer": from_buffer,  # pickle protocol 5
         }
 
     def find_class(self, module: str, name: str) -> Any:
-        known = f"{module}.{name}".replace("numpy._core.", "numpy.core.", 1)  # of numpy 2
+        known = f"{module}.{name}".replace("numpy._core.", "numpy.core.", 1)  # numpy 2
         if known in self._names:
             return self._names[known]
-        if module == "anim.motion":
-            raise MotionFileError(
-                f"{self._path}: is a pickled object of MimicKit's class {name}, as its first "
-                "versions wrote it; save it again as a dictionary of fps, loop_mode and frames"
-            )
         raise MotionFileError(
             f"{self._path}: refused, nothing was run: the file imports {module}.{name}, but a clip "
             "needs only numpy arrays; get the clip from a source that you trust"
@@ -160,7 +151,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _plain(value: Any) -> Any:
-    """Replace the arrays in nested containers; tuples become lists."""
+    """Replace `_Array` by numpy arrays in nested containers; tuples become lists."""
     if isinstance(value, _Array):
         if value.values is None:
             raise ValueError("an array of objects or an unfinished array")

@@ -1,26 +1,22 @@
-"""Reads the clip file of a robot, whichever of the known forms it has; writes this project's.
+"""Reads clip files of robots in six forms and writes this project's form.
 
-`formats.joint_csv` has the tables. The others are arrays by name, in an archive (`.npz`) or in a
-dictionary (`.pkl` by pickle or joblib, `.npy`), from which nothing is run:
+`formats.joint_csv` reads tables. The other files hold arrays by name, in an archive (`.npz`) or in
+a dictionary (`.npy`, `.pkl` by pickle or joblib):
 
-- This project's: format, version, fps, root_pos, root_rot xyzw, dof_pos, joint_names.
+- This project: format, version, fps, root_pos, root_rot xyzw, dof_pos, joint_names.
 - GMR (YanjieZe/GMR, scripts/bvh_to_robot.py): fps, root_pos, root_rot xyzw, dof_pos.
-- PHC and what follows it (retargeted H1 and G1 motions): fps, root_trans_offset, root_rot xyzw,
-  dof, mostly several motions by name.
-- MimicKit (xbpeng/MimicKit, mimickit/anim/motion.py and motion_lib.py): fps, loop_mode, frames
-  (T, 6 + D) of root position, root rotation as a rotation vector, and joints. Its first versions
-  pickled an object of a class, which is refused.
-- mjlab (mujocolab/mjlab, src/mjlab/scripts/csv_to_npz.py) and whole_body_tracking
-  (HybridRobotics/whole_body_tracking, scripts/csv_to_npz.py): fps (one number in a list),
-  joint_pos, body_pos_w and body_quat_w of all bodies, the root first, mostly without names. mjlab
-  has MuJoCo's order of joints, whole_body_tracking has Isaac Lab's, level by level; the mirrored
-  hips of a G1 show which.
-- Isaac Lab's humanoid AMP task (isaac-sim/IsaacLab, isaaclab_tasks/direct/humanoid_amp/motions/
-  motion_loader.py): fps, dof_names, dof_positions, body_names, body_positions, body_rotations.
+- PHC (retargeted H1 and G1 motions): fps, root_trans_offset, root_rot xyzw, dof; often several
+  motions by name.
+- MimicKit (xbpeng/MimicKit, mimickit/anim/motion.py): fps, loop_mode, frames (T, 6 + D). A frame
+  holds the root position, the root's rotation vector and the joints.
+- mjlab (src/mjlab/scripts/csv_to_npz.py) and HybridRobotics/whole_body_tracking
+  (scripts/csv_to_npz.py): fps, joint_pos, body_pos_w and body_quat_w of all bodies, root first,
+  mostly without names. mjlab has MuJoCo's joint order, whole_body_tracking Isaac Lab's.
+- Isaac Lab's humanoid AMP task (isaaclab_tasks/direct/humanoid_amp/motions/motion_loader.py): fps,
+  dof_names, dof_positions, body_names, body_positions, body_rotations.
 
-Quaternions of the last two are wxyz; Isaac Lab 3 writes xyzw. A body that does not move within the
-root shows which: only with the right order it stays in its place. Without names, joints are in the
-order of the robot's MJCF file.
+Quaternions of the last two forms are wxyz, or xyzw from Isaac Lab 3; the motion of the bodies shows
+the order. Joints without names are in the order of the robot's MJCF.
 """
 
 from __future__ import annotations
@@ -61,7 +57,7 @@ _DICTIONARIES = (*PICKLES, ".npy")
 _SUFFIXES = (".csv", ".npz", *_DICTIONARIES)
 _FORMAT = "isaacgymenvs_lite.joint_clip"
 _EXPECTED = "clip of a robot"
-# The names of each part; the first ones are this project's.
+# The keys of each array in the different forms; this project's are first.
 _POSITION = ("root_pos", "root_trans_offset", "root_trans", "root_translation", "root_position")
 _ROTATION = ("root_rot", "root_rotation", "root_quat")
 _JOINTS = ("dof_pos", "dof", "joint_pos", "dof_positions", "joint_positions", "joint_angles")
@@ -74,20 +70,21 @@ _KEYS = (
     *(_BODY_NAMES, _FRAMES, _FPS, "version"),
 )
 _FORMS = (
-    "fps, root_pos, root_rot, dof_pos (GMR), fps, root_trans_offset, root_rot, dof (PHC), fps, "
-    "frames (MimicKit), fps, joint_pos, body_pos_w, body_quat_w (mjlab) or fps, dof_positions, "
-    "body_positions, body_rotations (Isaac Lab), or such dictionaries by the names of motions"
+    "fps and: root_pos, root_rot, dof_pos (GMR); root_trans_offset, root_rot, dof (PHC); frames "
+    "(MimicKit); joint_pos, body_pos_w, body_quat_w (mjlab); or dof_positions, body_positions, "
+    "body_rotations (Isaac Lab); or a dictionary of these by motion"
 )
-# In single precision, of distances of 0.2 m anywhere within 100 m of the origin.
+# Distances in single precision, up to 100 m from the origin, are equal within this tolerance.
 _SAME_DISTANCE_M = 1e-3
-# A body nearer to the root than this does not show how the root is turned; so many frames do.
-_MIN_ARM_M, _COMPARED_FRAMES = 0.01, 256
+# Bodies nearer to the root than this do not show the root's rotation.
+_MIN_ARM_M = 0.01
+_COMPARED_FRAMES = 256
 
 
 def looks_like_joint_clip(path: str | Path) -> bool:
-    """Return whether a file is read by `read_joint_clip` rather than as a clip of a humanoid.
+    """Return whether a file is a robot's clip, which `read_joint_clip` reads.
 
-    A damaged file is none; its own reader says what is wrong with it.
+    The result is False for a damaged file; the humanoid's reader then raises the error.
     """
     path = Path(split_motion(path)[0])
     try:
@@ -106,7 +103,7 @@ def looks_like_joint_clip(path: str | Path) -> bool:
 
 
 def split_motion(name: str | Path) -> tuple[str, str]:
-    """Return the file and the motion of `FILE:MOTION`; "" of a name without a motion."""
+    """Return the file and the motion of `FILE:MOTION`; the motion may be ""."""
     for suffix in _DICTIONARIES:
         file, colon, motion = str(name).partition(f"{suffix}:")
         if colon:
@@ -117,7 +114,7 @@ def split_motion(name: str | Path) -> tuple[str, str]:
 def read_joint_clip(
     path: str | Path, fps: float | None = None, quat_order: QuatOrder | None = None
 ) -> JointClip:
-    """Read a file's only clip, or the one in `FILE:MOTION`; see `read_joint_clips`."""
+    """Read a file's only clip, or the clip `FILE:MOTION`; see `read_joint_clips`."""
     clips = read_joint_clips(path, fps, quat_order)
     if len(clips) > 1:
         raise MotionFileError(several_motions(path, [clip.name for clip in clips]))
@@ -125,7 +122,7 @@ def read_joint_clip(
 
 
 def several_motions(path: str | Path, names: Sequence[str]) -> str:
-    """Return what to do with a file that has several motions of these names, as `FILE:MOTION`."""
+    """Return the error message for a file with several motions; `names` are `FILE:MOTION`."""
     short = [name.removeprefix(f"{path}:") for name in names]
     return f"{path}: has {len(names)} motions ({listed(short, 20)}); give one, as {names[0]}"
 
@@ -137,20 +134,20 @@ def read_joint_clips(
     up_b: Sequence[float] = UP,
     root_body: str | None = None,
 ) -> list[JointClip]:
-    """Read a robot's clips by the content of their file; what looks odd is logged as a warning.
+    """Read the clips of a robot's file; odd values are logged as warnings.
 
     Args:
-        path: `.csv`, `.npz`, `.pkl` or `.npy`, see docs/motion_formats.md; `FILE:MOTION` is one of
-            several motions in a `.pkl` or `.npy`.
-        fps: frames per second of a file that has no rate (a table by default 30, BONES-SEED 120).
-        quat_order: of the file's quaternions; None: as usual for its form, or as its bodies show.
-        up_b: (3,) the upward direction in the frame of the robot's root, for the warning about a
-            root that lies down.
-        root_body: name of the robot's root, which is looked for in a file with names of bodies.
-            Without names, the first body but MuJoCo's world is the root.
+        path: `.csv`, `.npz`, `.pkl` or `.npy`, see docs/motion_formats.md; `FILE:MOTION` selects
+            one of several motions in a `.pkl` or `.npy`.
+        fps: frames per second of a file without a rate (default of tables: 30, BONES-SEED 120).
+        quat_order: order of the file's quaternions; None uses the default of the form, or the order
+            that the bodies show.
+        up_b: (3,) the upward direction in the root's frame, for the warning about a lying root.
+        root_body: name of the robot's root, for a file with body names. In other files the root is
+            the first body except MuJoCo's world.
 
     Raises:
-        MotionFileError: the file is missing, hostile, damaged, none of these forms, or not valid.
+        MotionFileError: the file is missing, damaged, not valid, or has another form.
     """
     file, motion = split_motion(path)
     path = Path(file)
@@ -175,7 +172,7 @@ def read_joint_clips(
 
 
 def _motions(path: Path, motion: str) -> dict[str, Mapping[str, Any]]:
-    """Return the motion of this name, or all if it is ""; "" is the name of a file's only one."""
+    """Return the motion of this name, or all for ""; a file's only motion has the name ""."""
     if path.suffix == ".npz":
         data: Any = read_arrays(path, _KEYS)
         if _POSITION[0] in data:
@@ -271,7 +268,7 @@ def _root_first(
     quaternions: FloatArray,
     clip_name: str,
 ) -> list[int]:
-    """Return the ids of the bodies with the root first, without MuJoCo's world."""
+    """Return the body ids with the root first, without MuJoCo's world."""
     bodies = list(range(positions.shape[1]))
     if names is not None and root_body is not None:
         check_kind(np.asarray(names), _BODY_NAMES, "U", clip_name)
@@ -295,10 +292,10 @@ def _root_first(
 
 
 def _quat_order(body_pos_w: FloatArray, body_quat_w: FloatArray) -> QuatOrder:
-    """Return the order of the quaternions (T, B, 4) that the places (T, B, 3) m of bodies show.
+    """Return the order of body quaternions (T, B, 4), deduced from body positions (T, B, 3) m.
 
-    With the right one a body on a joint at its origin has the same place in the root's frame in all
-    frames. Where both orders do, or none, it is the usual one.
+    With the right order, a body whose joint is at its origin keeps its position in the root's
+    frame. The result is wxyz if the bodies do not decide.
     """
     sample = slice(None, None, 1 + len(body_pos_w) // _COMPARED_FRAMES)
     arms_w = body_pos_w[sample, 1:] - body_pos_w[sample, :1]
@@ -316,10 +313,10 @@ def _quat_order(body_pos_w: FloatArray, body_quat_w: FloatArray) -> QuatOrder:
 
 
 def _order_of_g1(body_pos_w: FloatArray, name: str) -> tuple[str, ...]:
-    """Return the names of a G1's joints in the file's order, from its bodies (T, B, 3) m.
+    """Return the joint names of a G1 in the file's order, deduced from positions (T, B, 3) m.
 
-    Both hip links are equally far from the pelvis in every pose: bodies 1 and 2 level by level,
-    bodies 1 and 7 leg by leg.
+    Both hip links are equally far from the pelvis. They are bodies 1 and 2 in breadth-first order,
+    bodies 1 and 7 in depth-first order.
     """
     if body_pos_w.shape[1] > 7:
         distance = np.linalg.norm(body_pos_w[:, 1:] - body_pos_w[:, :1], axis=-1)
@@ -334,7 +331,7 @@ def _order_of_g1(body_pos_w: FloatArray, name: str) -> tuple[str, ...]:
 
 
 def save_robot_npz(path: str | Path, clip: JointClip) -> Path:
-    """Write a clip in this project's form; `.npz` is added to `path` where it is missing."""
+    """Write a clip in this project's form; `.npz` is added to a `path` without it."""
     clip.validate()
     arrays = {"root_pos": clip.root_pos, "root_rot": clip.root_rot, "dof_pos": clip.dof_pos}
     if clip.joint_names is not None:

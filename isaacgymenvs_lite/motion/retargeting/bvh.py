@@ -1,9 +1,8 @@
 """Reads motion capture in the BVH format with the library pybvh.
 
-Many programs write position channels for all joints, not for the root alone, and some write a ROOT
-that stands still above the hips that move. pybvh reads neither: `_split_positions` takes the
-positions out of the text. Positions of joints above the body move the root. Positions of other
-joints must be constant: they replace the offset, or are zero.
+pybvh reads position channels only for ROOT. Many programs write them for all joints, or move the
+hips below a fixed ROOT; `_split_positions` removes these channels from the text. Positions of ROOT
+and the joints down to the hips move the clip's root. Other joints must have constant positions.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.optional_packages import import_package
 
-# The file that pybvh reads in place of the user's, and how its messages name it.
+# The temporary file that pybvh reads, and a pattern of this name in its messages.
 _COPY = "motion.bvh"
 _PLACE = re.compile(rf" in (file )?\S*{re.escape(_COPY)}")
-# A joint may move in its parent by this part of the longest bone: rounding, and markers' noise.
+# Noise may move a joint in its parent by this share of the longest bone.
 _TOLERANCE = 0.01
 _JOINT = re.compile(r"^\s*(?:ROOT|JOINT)\s+(.*?)\s*\{?\s*$")
 _CHANNELS = re.compile(r"^\s*CHANNELS\s+\d+(.*)", re.IGNORECASE)
@@ -46,14 +45,14 @@ class BvhMotion:
     fps: float  # frames per second
     joint_names: tuple[str, ...]  # J names, parents first
     parent_indices: tuple[int, ...]  # J ids, -1 for the root
-    offsets: FloatArray  # (J, 3), places of the joints in their parents; the root's is not used
-    turns: FloatArray  # (T, J, 4) xyzw, relative to the parent; the root's to the world
-    places: FloatArray  # (T, 3), of the root in the world
+    offsets: FloatArray  # (J, 3), positions in the parents' frames; the root's row is not used
+    turns: FloatArray  # (T, J, 4) xyzw, rotations relative to the parents (root: to the world)
+    places: FloatArray  # (T, 3), world positions of the root
 
     def clip(self, to_z_up: FloatArray, unit_m: float) -> MotionClip:
-        """Return the motion as a clip of its own skeleton, in our axes and in metres.
+        """Return the motion as a clip of its own skeleton in m, z up.
 
-        `to_z_up` (4,) xyzw is the rotation from the axes of the file to ours, z up.
+        `to_z_up` (4,) xyzw is the rotation from the file's axes to z up.
         """
         up = torch.from_numpy(to_z_up).expand(len(self.turns), 4)
         turns = self.turns.copy()
@@ -66,7 +65,7 @@ class BvhMotion:
 
 @dataclass(frozen=True)
 class _Joint:
-    """A joint: its parent's id, its CHANNELS line (-1: none), the frames' columns by channel."""
+    """A joint: parent's id, index of the CHANNELS line (-1: none), columns by channel."""
 
     name: str
     parent: int
@@ -74,24 +73,23 @@ class _Joint:
     columns: Mapping[str, int] = field(default_factory=dict)
 
     def expected(self) -> tuple[str, ...]:
-        """Return the channels that pybvh expects: positions of ROOT, rotations as in the file."""
+        """Return the channels that pybvh expects: positions only for ROOT, and the rotations."""
         turns = tuple(channel for channel in self.columns if channel not in _POSITIONS)
         return (*(_POSITIONS if self.parent < 0 else ()), *(turns or _ROTATIONS))
 
 
 def bvh_hierarchy(path: str | Path) -> tuple[list[str], list[int]]:
-    """Return the names of the joints of a BVH file and their parents' ids; no frames are read."""
+    """Return the joint names and parents' ids of a BVH file without reading the frames."""
     with reading(path, "BVH file"):
         joints = _joints(_lines(path))
     return [joint.name for joint in joints], [joint.parent for joint in joints]
 
 
 def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
-    """Read a BVH file; its joints have three rotation channels or none, in any order.
+    """Read a BVH file whose joints have three rotation channels or none, in any order.
 
-    The caller needs the joints of these names: their lowest common ancestor, or one of them,
-    becomes the root, with the motion of all joints above it. Joints below keep their positions.
-    Without names, the root is ROOT.
+    The last common joint of the chains to all `joints` becomes the root and gets the motion of the
+    joints above it. The root is ROOT if `joints` is empty.
     """
     pybvh = import_package("pybvh", "reading BVH files")
     with reading(path, "BVH file"):
@@ -107,7 +105,7 @@ def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
         above = shared_chain(parents, [names.index(joint) for joint in joints if joint in names])
         steps = _places_in_parents(names, offsets, positions, [names[i] for i in above], path)
         turns = rotations.xyzw_from_wxyz(torch.from_numpy(wxyz))
-        # Without positions of ROOT, or with zeros, its offset is its place.
+        # ROOT's offset is its position if the file has no positions of ROOT, or zeros.
         place = torch.from_numpy(root if root.any() else root + offsets[0])
         turn = turns[:, 0]
         for joint, step in zip(above[1:], steps, strict=True):
@@ -128,7 +126,7 @@ def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
 
 
 def chain(parents: Sequence[int], joint: int) -> list[int]:
-    """Return the joints from the first one down to `joint`."""
+    """Return the joints from the root to `joint`."""
     found = [joint]
     while parents[found[0]] >= 0:
         found.insert(0, parents[found[0]])
@@ -136,7 +134,7 @@ def chain(parents: Sequence[int], joint: int) -> list[int]:
 
 
 def shared_chain(parents: Sequence[int], joints: Sequence[int]) -> list[int]:
-    """Return the joints from the first one down to the last one that all `joints` share."""
+    """Return the joints from the root to the last common joint of the chains to all `joints`."""
     levels = zip(*(chain(parents, joint) for joint in joints), strict=False)
     return [level[0] for level in itertools.takewhile(lambda x: len(set(x)) == 1, levels)] or [0]
 
@@ -169,10 +167,10 @@ def _joints(lines: Sequence[str]) -> list[_Joint]:
 def _split_positions(
     lines: list[str], joints: Sequence[_Joint]
 ) -> tuple[list[str], dict[str, FloatArray]]:
-    """Return the lines with positions of ROOT only, and the positions (T, 3) of other joints.
+    """Remove the positions of joints below ROOT; return the lines and these positions (T, 3).
 
-    In the result every joint has rotations, zero where the file has none. Lines that need no change
-    are returned unchanged, also if they are no BVH file: pybvh reports what is wrong.
+    Joints without rotations get zero rotations. Lines that are no BVH file are returned unchanged:
+    pybvh raises the error.
     """
     start = next((i for i, line in enumerate(lines) if line.strip() == "MOTION"), None)
     joints = [joint for joint in joints if joint.line >= 0]
@@ -184,7 +182,7 @@ def _split_positions(
     values = np.loadtxt(lines[first:], comments=None, ndmin=2)
     width = sum(len(joint.columns) for joint in joints)
     if values.shape[1] != width:
-        raise ValueError(f"the joints have {width} channels, the frames another number")
+        raise ValueError(f"the joints have {width} channels, the frames {values.shape[1]}")
     values = np.pad(values, ((0, 0), (0, 1)))
     positions, kept, lines = {}, list[int](), lines[:]
     for joint in joints:
@@ -198,14 +196,13 @@ def _split_positions(
 
 
 def _parse(pybvh: Any, text: str) -> tuple[Any, FloatArray, FloatArray]:
-    """Return the library's motion, root positions (T, 3) and rotations (T, J, 4) wxyz."""
+    """Return pybvh's motion, root positions (T, 3) and rotations (T, J, 4) wxyz."""
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        # A file without frames is an error later; numpy's warning of it would be a second line.
-        warnings.simplefilter("ignore")
-        copy = Path(folder) / _COPY  # the library reads files only
+        warnings.simplefilter("ignore")  # a file without frames raises an error later
+        copy = Path(folder) / _COPY
         copy.write_text(text, encoding="utf-8")
         try:
-            # The mapping gives the axis that points up.
+            # The mapping gives the real up axis.
             motion = pybvh.read_bvh_file(copy, world_up="+y")
             return motion, *motion.to_quat()
         except ValueError as error:
@@ -219,10 +216,10 @@ def _places_in_parents(
     above: Sequence[str],
     path: str | Path,
 ) -> list[FloatArray]:
-    """Replace offsets (J, 3) by constant positions (T, 3), in place, unless they are zero.
+    """Replace offsets (J, 3) in place by the joints' positions (T, 3) that are not zero.
 
-    Returns the places, (T, 3) or (1, 3), of the joints `above` but ROOT, from ROOT down to the root
-    of the clip: they may move in their parents. Other joints that move are refused.
+    Only the joints `above`, from ROOT to the clip's root, may move in their parents. The result is
+    their positions (T, 3) or (1, 3), except ROOT's.
     """
     tolerance = _TOLERANCE * float(np.linalg.norm(offsets, axis=1).max())
     steps = dict(zip(names, offsets[:, None].copy(), strict=True))
@@ -234,9 +231,9 @@ def _places_in_parents(
             spread = float(np.ptp(given, axis=0).max())
             if spread > 2.0 * tolerance:
                 raise MotionFileError(
-                    f"{path}: joint {name} moves within its parent by {spread:.3g} units; limbs "
-                    "that change their length cannot be followed, write the file with position "
-                    "channels of the hips and the joints above them only"
+                    f"{path}: joint {name} moves within its parent by {spread:.3g} units, expected "
+                    "limbs of constant length; export position channels only for the hips and the "
+                    "joints above them"
                 )
             offsets[names.index(name)] = given.mean(axis=0)
     return [steps[name] for name in above[1:]]

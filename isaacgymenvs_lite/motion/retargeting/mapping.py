@@ -1,6 +1,6 @@
-"""Mapping files: which joint of a source skeleton moves which body of the humanoid, and how.
+"""Mapping files from the joints of a source skeleton to the bodies of the humanoid.
 
-docs/motion_formats.md describes them; two are shipped in assets/retargeting.
+docs/motion_formats.md describes them; assets/retargeting has the shipped files.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.yaml_file import load_yaml
 
 AXES = tuple(f"{sign}{axis}" for sign in "+-" for axis in "xyz")
-# Bodies whose attitude is the joint's; the attitude of others follows from the places of their
-# joints.
+# Bodies with the rotation of their joint; other rotations follow from the joints' positions.
 WITH_ATTITUDE = ("pelvis", "torso", "head", "right_foot", "left_foot")
 
 
@@ -54,25 +53,23 @@ class BodySource:
     """The source of a body's motion."""
 
     joint: str  # name of a joint of the source skeleton
-    # (4,) xyzw, rotation of the body's frame relative to the joint's; None where the attitude of
-    # the joint is not used.
+    # (4,) xyzw, rotation of the body's frame relative to the joint's; None if it is not used.
     frame: FloatArray | None
-    level: bool  # the sole is made parallel to the ground while the foot is on it
+    level: bool  # whether the sole is made parallel to the ground during contact
 
 
 @dataclass(frozen=True, eq=False)
 class SkeletonMapping:
-    """How a source skeleton moves the humanoid."""
+    """A mapping from a source skeleton to the humanoid."""
 
     name: str  # the file, or the name of a shipped mapping
-    up: str  # the axis of the file that points up, of `AXES`
-    unit_m: float  # m per unit of length of the file
-    # Of each body of the humanoid with 28 degrees of freedom, by name.
-    sources: Mapping[str, BodySource]
+    up: str  # the file's up axis, one of `AXES`
+    unit_m: float  # the file's unit of length in m
+    sources: Mapping[str, BodySource]  # by the body names of the humanoid with 28 DOFs
 
     @property
     def to_z_up(self) -> FloatArray:
-        """(4,) xyzw, turns `up` into z and the next axis (cyclic x, y, z) into x."""
+        """(4,) xyzw, rotates `up` into z and the next axis (cyclic x, y, z) into x."""
         z = axis_vector(self.up)
         x = np.roll(np.abs(z), 1)
         return _quaternion(np.stack((x, np.cross(z, x), z)))
@@ -84,7 +81,7 @@ def shipped_mappings() -> dict[str, Path]:
 
 
 def load_mapping(mapping: str | Path) -> SkeletonMapping:
-    """Read a mapping file, or the shipped one of that name; ConfigError if it cannot be used."""
+    """Read a mapping file, or the shipped mapping of this name, or raise a ConfigError."""
     with reading(mapping, "mapping file"):
         path, content = read_mapping_keys(mapping, shipped_mappings(), "up, unit_m and bodies")
         settings = read_section(_MappingSettings, content, where=str(path), complete=True)
@@ -102,9 +99,9 @@ def load_mapping(mapping: str | Path) -> SkeletonMapping:
 def read_mapping_keys(
     mapping: str | Path, shipped: Mapping[str, Path], expected: str
 ) -> tuple[Path, dict[Any, Any]]:
-    """Return the file and the keys of a mapping file, or of the shipped one of that name.
+    """Return the path and the content of a mapping file, or of the shipped mapping of this name.
 
-    `expected` are names of the keys, for the message where there are none.
+    `expected` lists the keys in the error message.
     """
     path = shipped.get(str(mapping)) or Path(mapping)
     if not path.is_file():
@@ -138,8 +135,8 @@ def _source(body: str, entry: Any, where: str) -> BodySource:
 def body_frame(x: str, z: str, turn_deg: Sequence[float] = (0.0, 0.0, 0.0)) -> FloatArray:
     """Return the rotation (4,) xyzw of a body's frame relative to its joint's.
 
-    `x` and `z` are the axes of the joint that point forward and up; `turn_deg` (3,) is a further
-    rotation vector in the axes x, left and z.
+    `x` and `z` are the axes of the joint that point forward and up. `turn_deg` (3,) is an
+    additional rotation vector in the axes x, left and z.
     """
     forward, up = axis_vector(x), axis_vector(z)
     axes = torch.from_numpy(_quaternion(np.stack((forward, np.cross(up, forward), up), axis=1)))

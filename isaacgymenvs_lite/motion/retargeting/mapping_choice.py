@@ -1,4 +1,4 @@
-"""Finds the mappings of a retargeting: as the user names them, else by the names of joints."""
+"""Chooses the mappings of a retargeting by the user's names, else by the names of joints."""
 
 from __future__ import annotations
 
@@ -47,31 +47,32 @@ from isaacgymenvs_lite.motion.retargeting.source import FEET, SIDES, leg_length,
 from isaacgymenvs_lite.utils import rotations
 
 _FRAMES = [(x, z) for x, z in itertools.product(AXES, AXES) if x[1] != z[1]]
-# Thigh and shin of people between 1.1 m and 2.2 m; the mean of adults. Units of BVH files in m.
+# Length of thigh and shin of people between 1.1 m and 2.2 m, and of an average adult.
 _SHORTEST_LEG_M, _LONGEST_LEG_M, _USUAL_LEG_M = 0.45, 1.4, 0.85
-_UNITS_M = (1.0, 0.01, 0.001, 0.0254, 0.056444, 0.1, 0.3048)
+_UNITS_M = (1.0, 0.01, 0.001, 0.0254, 0.056444, 0.1, 0.3048)  # units of BVH files
 _MAX_FRAMES = 1000
-# Least cosines: an upright skeleton and an axis; trunk and legs at rest; a joint's axis and its
-# body's; the same for a foot's up axis, which tilts in crawls and dances.
-_STANDS, _STRAIGHT, _ALIGNED, _FOOT_UP = 0.7, 0.8, 0.3, -0.3
-# Knees that bend backward by this share of a leg's length on average are no knees.
-_BACKWARD = 0.03
-# In leg lengths: the expected height of the lowest joint; how much more deviation from it is
-# accepted for the mapping's axis; the largest deviation for an axis that neither mapping nor pose
-# suggests.
-_LOWEST_JOINT, _PREFERRED, _GROUNDED = 0.1, 0.15, 0.12
+# Least cosines of angles:
+_STANDS = 0.7  # between an upright skeleton and an axis
+_STRAIGHT = 0.8  # between trunk and legs in a rest pose
+_ALIGNED = 0.3  # between a joint's axis and its body's
+_FOOT_UP = -0.3  # between the up axes of an ankle and a foot, which tilts in crawls and dances
+# Lengths relative to a leg:
+_BACKWARD = 0.03  # knees that bend backward farther belong to the other leg
+_LOWEST_JOINT = 0.1  # height of the lowest joint
+_PREFERRED = 0.15  # advantage of the mapping's up axis
+_GROUNDED = 0.12  # largest deviation for an axis that neither the mapping nor the pose suggests
 
 
 @dataclass(frozen=True, eq=False)
 class _Skeleton:
-    """A mapped skeleton in T frames of its motion, in the axes and the unit of the file."""
+    """The mapped joints of a skeleton in T frames, in the axes and the unit of the file."""
 
-    places: Mapping[str, FloatArray]  # (T, 3) of each body's joint
-    turns: Mapping[str, FloatArray]  # (T, 4) xyzw, attitude of each body's joint
+    places: Mapping[str, FloatArray]  # (T, 3), world position of each body's joint
+    turns: Mapping[str, FloatArray]  # (T, 4) xyzw, world rotation of each body's joint
 
     @classmethod
     def of(cls, motion: BvhMotion, mapping: SkeletonMapping, at_rest: bool = False) -> _Skeleton:
-        """Return the skeleton in the frames of the motion, or in its rest pose, T = 1."""
+        """Return the skeleton in the frames of the motion, or in its rest pose (T = 1)."""
         every = slice(None, None, 1 + len(motion.turns) // _MAX_FRAMES)
         turns, root = motion.turns[every], motion.places[every]
         if at_rest:
@@ -88,23 +89,23 @@ class _Skeleton:
 
     @property
     def upward(self) -> FloatArray:
-        """(T, 3) directions from the feet to the head."""
+        """Unit vectors (T, 3) from the feet to the head."""
         return _unit(self.places["head"] - sum(self.places[foot] for foot in FEET) / 2)
 
     @property
     def left(self) -> FloatArray:
-        """(T, 3) directions from the right hip to the left one."""
+        """Unit vectors (T, 3) from the right hip to the left hip."""
         return _unit(self.places["left_thigh"] - self.places["right_thigh"])
 
     def axes_in_joint(self, body: str) -> tuple[FloatArray, FloatArray]:
-        """Return the mean directions (3,) left and up of a body, in the axes of its joint."""
+        """Return the mean left and up directions (3,) of a body in the axes of its joint."""
         place = self.places
         if body in FEET:
             thigh, shin = (
                 place[body.replace("foot", below)] - place[body.replace("foot", above)]
                 for above, below in (("thigh", "shin"), ("shin", "foot"))
             )
-            # The axis of the knee; a straight leg has none, then the axis of the hips counts.
+            # The axis of the knee, or of the hips if the leg is straight.
             left, up = np.cross(_unit(thigh), _unit(shin)) + 0.1 * self.left, -shin
         else:
             shoulders = place["left_upper_arm"] - place["right_upper_arm"]
@@ -115,7 +116,7 @@ class _Skeleton:
         return _unit(left.mean(dim=0).numpy()), _unit(up.mean(dim=0).numpy())
 
     def knees_bend_backward(self) -> bool:
-        """Return whether the knees bend backward, as in a mirror image of a figure."""
+        """Return whether the knees bend backward because left and right are exchanged."""
         place = self.places
         forward = np.cross(self.left, place["head"] - place["pelvis"])
         bends = [
@@ -131,10 +132,9 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def check_fit(motion: BvhMotion, mapping: SkeletonMapping) -> None:
-    """Raise a ConfigError that has what to write if a mapping does not fit the motion.
+    """Raise a ConfigError with advice if a mapping does not fit the motion.
 
-    Another axis of the file is up, its unit is another one, the joints have other axes, or left and
-    right are exchanged.
+    The checks concern joint names, the up axis, the unit, the joints' axes, and left and right.
     """
     for body, source in mapping.sources.items():
         if source.joint not in motion.joint_names:
@@ -146,7 +146,7 @@ def check_fit(motion: BvhMotion, mapping: SkeletonMapping) -> None:
 
 
 def fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
-    """Return a mapping with the up axis, unit and axes of joints that the skeleton shows."""
+    """Return the mapping with up axis, unit and joint axes corrected for the motion's skeleton."""
     with reading(motion.name, "BVH file"):
         skeleton, rest_axis = _Skeleton.of(motion, mapping), _rest_axis(motion, mapping)
         found = mapping
@@ -165,7 +165,7 @@ def fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
 
 
 def _problems(motion: BvhMotion, mapping: SkeletonMapping) -> str:
-    """Return what does not fit, and what to write; "" if all fits."""
+    """Describe the errors of a mapping and their corrections; "" if there are none."""
     skeleton, found = _Skeleton.of(motion, mapping), list[str]()
     unit_m = _unit_m(skeleton, mapping.unit_m)
     if unit_m != mapping.unit_m:
@@ -186,11 +186,11 @@ def _problems(motion: BvhMotion, mapping: SkeletonMapping) -> str:
 
 
 def _up_axis(skeleton: _Skeleton, rest_axis: str, mapped: str) -> str:
-    """Return the axis of the file that points up.
+    """Return the up axis of the file.
 
-    It is the axis along which the body stands on average, if the mapping (`mapped`) or the rest
-    pose (`rest_axis`) has the same axis. Bodies also lie, crawl and stand on their hands; then it
-    is the axis along which the lowest joint stays at the height of the ground.
+    It is the mean axis from feet to head if this axis is also the mapping's (`mapped`) or the rest
+    pose's (`rest_axis`). Otherwise the body lies, crawls or stands on its hands; then it is the
+    axis along which the lowest joint stays at the height of the ground.
     """
     stands = _nearest_axis(skeleton.upward.mean(axis=0), _STANDS)
     if stands and stands in (mapped, rest_axis):
@@ -209,13 +209,13 @@ def _up_axis(skeleton: _Skeleton, rest_axis: str, mapped: str) -> str:
 
 
 def _nearest_axis(vector: FloatArray, least: float) -> str:
-    """Return the axis nearest to a vector (3,) whose part along it is `least` or more, or ""."""
+    """Return the axis nearest to a vector (3,), or "" if its component is less than `least`."""
     axis = max(AXES, key=lambda name: float(axis_vector(name) @ vector))
     return axis if axis_vector(axis) @ vector >= least else ""
 
 
 def _rest_axis(motion: BvhMotion, mapping: SkeletonMapping) -> str:
-    """Return the axis from the feet to the head in the rest pose; "" if it does not stand."""
+    """Return the axis from the feet to the head in the rest pose, or "" if it does not stand."""
     rest = _Skeleton.of(motion, mapping, at_rest=True)
     pelvis, head = (rest.places[body][0] for body in ("pelvis", "head"))
     legs = pelvis - sum(rest.places[foot][0] for foot in FEET) / 2
@@ -224,9 +224,9 @@ def _rest_axis(motion: BvhMotion, mapping: SkeletonMapping) -> str:
 
 
 def _sources_at_rest(motion: BvhMotion, mapping: SkeletonMapping) -> dict[str, BodySource]:
-    """Return the sources with axes of joints as in the rest pose; {} if it does not stand.
+    """Return the sources with the joint axes of the rest pose, or {} if it does not stand.
 
-    The feet of a rest pose with spread legs are on edge, and turned with the shins.
+    Feet are rotated with their shins, which spread legs tilt.
     """
     rest = _Skeleton.of(motion, mapping, at_rest=True)
     z, y = _rest_axis(motion, mapping), _nearest_axis(rest.left[0], _STRAIGHT)
@@ -245,7 +245,7 @@ def _sources_at_rest(motion: BvhMotion, mapping: SkeletonMapping) -> dict[str, B
 
 
 def _unit_m(skeleton: _Skeleton, mapped: float) -> float | None:
-    """Return the mapping's unit if the legs are a human's with it, else a usual one, or None."""
+    """Return the mapping's unit, or a usual unit, that gives the legs a human length; else None."""
     leg = leg_length(skeleton.places)
     units = [u for u in (mapped, *_UNITS_M) if _SHORTEST_LEG_M <= leg * u <= _LONGEST_LEG_M]
     if mapped in units:
@@ -254,7 +254,7 @@ def _unit_m(skeleton: _Skeleton, mapped: float) -> float | None:
 
 
 def _wrong_axes(skeleton: _Skeleton, mapping: SkeletonMapping) -> str:
-    """Return what to write for bodies whose axes in the mapping are not forward and up, else ""."""
+    """Return the mapping entries of bodies whose axes need a correction, or ""."""
     return ", ".join(
         f"{body}: {{joint: {mapping.sources[body].joint}, x: {axes[0]}, z: {axes[1]}}}"
         for body in WITH_ATTITUDE
@@ -265,7 +265,7 @@ def _wrong_axes(skeleton: _Skeleton, mapping: SkeletonMapping) -> str:
 def _better_axes(
     skeleton: _Skeleton, body: str, frame: FloatArray | None
 ) -> tuple[str, str] | None:
-    """Return better axes forward and up for a body's joint than `frame` (4,); None if it fits."""
+    """Return the forward and up axes of a body's joint, or None if `frame` (4,) fits."""
     left, up = skeleton.axes_in_joint(body)
 
     def parts(frame: FloatArray) -> tuple[float, float]:
@@ -280,8 +280,8 @@ def _better_axes(
 
 _log = logging.getLogger(__name__)
 
-# Joints of the shipped mappings' skeletons that other skeletons do not have. LAFAN1's has all
-# joints that CMU's mapping uses, but other axes.
+# Joints that identify the skeletons of the shipped mappings. LAFAN1's skeleton has all joints of
+# CMU's mapping with other axes.
 _MARKS = {
     "cmu": {"LHipJoint", "RHipJoint", "LowerBack"},
     "lafan1": {"Spine2", "LeftToe", "RightToe"},
@@ -291,10 +291,10 @@ _HELPER = re.compile("twist|roll", re.IGNORECASE)
 
 
 def read_named_mappings(mapping: str) -> tuple[SkeletonMapping | None, RobotMapping | None]:
-    """Read the mappings that a user names: of a BVH file's skeleton, and of a robot.
+    """Read a user's mappings: one of a BVH file's skeleton, one of a robot, or both.
 
-    They are shipped ones or YAML files, at most one of each kind, separated by a comma. The keys of
-    a file show which kind it is.
+    `mapping` holds names of shipped mappings or YAML files, separated by a comma. The keys of a
+    file show its kind.
     """
     skeleton: SkeletonMapping | None = None
     robot: RobotMapping | None = None
@@ -307,7 +307,7 @@ def read_named_mappings(mapping: str) -> tuple[SkeletonMapping | None, RobotMapp
         if (robot if is_robots else skeleton) is not None:
             kind = "a robot" if is_robots else "a BVH file's skeleton"
             raise ConfigError(
-                f"mapping={mapping}: has two mappings of {kind}; expected at most one of a BVH "
+                f"mapping={mapping}: has two mappings of {kind}, expected at most one of a BVH "
                 f"file's skeleton ({', '.join(shipped_mappings())}, a file) and one of a robot "
                 f"({', '.join(shipped_robot_mappings())}, a file)"
             )
@@ -319,10 +319,10 @@ def read_named_mappings(mapping: str) -> tuple[SkeletonMapping | None, RobotMapp
 
 
 def recognise_skeleton(path: str | Path) -> SkeletonMapping:
-    """Return a mapping for the joints of a BVH file, and log which one it is.
+    """Find a mapping for the joints of a BVH file, and log it.
 
-    It is the shipped one with these joints, else a guess by the names of feet, hands and head; in
-    both cases as `fitted`. Raises ConfigError if none fits.
+    It is the shipped mapping with these joints, else a guess by the names of feet, hands and head;
+    `fitted` corrects it. Raises ConfigError if no mapping fits.
     """
     names, parents = bvh_hierarchy(path)
     for name, marks in _MARKS.items():
@@ -330,14 +330,11 @@ def recognise_skeleton(path: str | Path) -> SkeletonMapping:
         used = {source.joint for source in mapping.sources.values()}
         if set(names) >= marks | used:
             found = fitted(read_bvh(path, used), mapping)
-            own = {
-                f"up: {found.up}": found.up != mapping.up,
-                f"unit_m: {found.unit_m:g}": found.unit_m != mapping.unit_m,
-                "x and z of its joints": found.sources is not mapping.sources,
-            }
-            changes = ", ".join(change for change, is_own in own.items() if is_own)
-            but = f" but for its own {changes}" if changes else ""
-            _log.info("%s: has the joints of mapping=%s, which is used%s", path, name, but)
+            _log.info(
+                "%s: has the joints of mapping=%s, which is used with up: %s, unit_m: %g and %s",
+                *(path, name, found.up, found.unit_m),
+                "its x and z" if found.sources is mapping.sources else "x and z of the rest pose",
+            )
             return found
     joints = _guess_joints(names, parents)
     if not joints:
@@ -360,11 +357,11 @@ def recognise_skeleton(path: str | Path) -> SkeletonMapping:
 
 
 def _guess_joints(names: Sequence[str], parents: Sequence[int]) -> dict[str, str]:
-    """Return the joint of each body by the names of feet, hands and head, {} if one is missing.
+    """Return the joint of each body by the names of feet, hands and head, or {} if one is missing.
 
-    The two joints above a foot or a hand are its limb; helper joints for twist are left out. Pelvis
-    and torso are the last joints above both legs and both arms. Ankles and wrists are tried before
-    feet and hands: in a skeleton with both, foot and hand are the toes and the fingers.
+    A limb consists of a foot or hand and the two joints above it, without twist helpers. The pelvis
+    is the last joint above both legs, the torso the last joint above both arms. Ankles and wrists
+    have precedence: joints named foot and hand are then toes and fingers.
     """
     found: dict[str, int] = {}
     for side in SIDES:
@@ -386,7 +383,7 @@ def _guess_joints(names: Sequence[str], parents: Sequence[int]) -> dict[str, str
 
 
 def _first_named(names: Sequence[str], patterns: Sequence[str], side: str) -> int | None:
-    """Return the first joint with the first pattern that any name has; None: no name has one."""
+    """Return the first joint that matches the first matching pattern, or None."""
     fitting = (
         i for pattern in patterns for i, name in enumerate(names) if names_body(name, pattern, side)
     )
@@ -394,9 +391,9 @@ def _first_named(names: Sequence[str], patterns: Sequence[str], side: str) -> in
 
 
 def recognise_robot(model: mujoco.MjModel, start: FloatArray) -> RobotMapping:
-    """Return the shipped mapping for the bodies of a robot, else a guessed one; log which.
+    """Return the shipped mapping for the bodies of a robot, else a guess, and log it.
 
-    `start` (nq,) is the pose in which it stands. Raises ConfigError as `guess_robot_mapping`.
+    The robot stands in the pose `start` (nq,). Errors: see `guess_robot_mapping`.
     """
     bodies = {model.body(i).name for i in range(model.nbody)}
     for name in shipped_robot_mappings():

@@ -1,4 +1,4 @@
-"""Retargets motion to the humanoid or a robot, and logs the remaining errors."""
+"""Retargets motion to a shipped humanoid or a robot and logs the remaining errors."""
 
 from __future__ import annotations
 
@@ -42,25 +42,24 @@ _log = logging.getLogger(__name__)
 KEY_BODIES = ("pelvis", "head", "right_hand", "left_hand", "right_foot", "left_foot")
 _ON_GROUND_M = 0.01  # a point of a sole below this height should not move
 _AT_LIMIT_RAD = np.radians(0.1)
-# How often the feet's goals are corrected by what the soles miss.
+# Number of corrections of the feet's goals by the soles' errors.
 _CORRECTIONS = 2
-# A first step this large, and so many times the median, is no motion.
+# The first frame is a rest pose if its rotation to the second frame exceeds this angle, and the
+# median rotation between frames by this factor.
 _JUMP_DEG, _JUMP_RATIO = 20.0, 5.0
 
 
 @dataclass(frozen=True)
 class RetargetReport:
-    """What a retargeting leaves."""
+    """The errors of a retargeted motion."""
 
     scale: float  # the figure's leg length divided by the source's
-    # Mean and largest distance in m of the key bodies from the scaled source, by the humanoid's
-    # names.
+    # Mean and largest distance in m of each key body from the scaled source.
     errors_m: Mapping[str, tuple[float, float]]
-    deepest_m: float  # how far a point of a sole is below the ground at most, 0 or more
-    # Median and largest horizontal speed of points of the soles in contact; None: no foot rests on
-    # the ground.
+    deepest_m: float  # largest depth of a sole's point below the ground, at least 0
+    # Median and largest horizontal speed of the soles' points in contact; None without contact.
     slide_m_s: tuple[float, float] | None
-    # (share of the frames, joint) of the joint that is at its limit most often; None: none ever is.
+    # (share of the frames, name) of the joint that is most often at its limit; None if no joint is.
     limited: tuple[float, str] | None
     fastest_rad_s: float  # the largest speed of a joint
 
@@ -76,12 +75,12 @@ class RetargetReport:
         fps: float,
         fastest_rad_s: float,
     ) -> RetargetReport:
-        """Sum up a motion.
+        """Summarise a motion.
 
-        `missed` (T, 3) m are from the scaled source to each key body. Points (T, 2, K, 3) m are of
-        the soles, and `contact` (T, 2, K) says which rest on the ground in the source; a foot that
-        swings close above the ground does not rest. `margins` (T, D) rad are from a joint's angle
-        to its nearest limit.
+        `missed` (T, 3) m are the vectors from the scaled source to each key body. `points`
+        (T, 2, K, 3) m are the soles' points; `contact` (T, 2, K) marks those that rest on the
+        ground in the source. `margins` (T, D) rad are the distances of joints to their nearest
+        limits.
         """
         errors = {body: np.linalg.norm(way, axis=-1) for body, way in missed.items()}
         speed = np.linalg.norm(np.diff(points[..., :2], axis=0), axis=-1) * fps
@@ -103,19 +102,21 @@ class RetargetReport:
         bodies = ", ".join(
             f"{body} {mean:.4f} ({largest:.4f})" for body, (mean, largest) in self.errors_m.items()
         )
-        sliding = "they never rest on it"
+        sliding = "they never rest on the ground"
         if self.slide_m_s is not None:
             median, largest = self.slide_m_s
-            sliding = f"where they rest on it they slide at {largest:.3f} m/s (median {median:.3f})"
+            sliding = f"in contact they slide at {largest:.3f} m/s at most (median {median:.3f})"
         limited = "no joint is ever at its limit"
         if self.limited is not None:
             share, joint = self.limited
-            limited = f"{joint} is at its limit in {share:.0%} of the frames, no joint more often"
+            limited = (
+                f"{joint} is at its limit in {share:.0%} of the frames, more than other joints"
+            )
         return [
-            f"scaled by {self.scale:.3f}, the length of the legs; m from the scaled source on "
-            f"average (at most): {bodies}",
-            f"feet {self.deepest_m:.4f} m below the ground at most; {sliding}; {limited}, the "
-            f"fastest moves at {self.fastest_rad_s:.1f} rad/s",
+            f"scaled by {self.scale:.3f} (ratio of leg lengths); mean (largest) distance from the "
+            f"scaled source in m: {bodies}",
+            f"feet are {self.deepest_m:.4f} m below the ground at most; {sliding}; {limited}; the "
+            f"fastest joint moves at {self.fastest_rad_s:.1f} rad/s",
         ]
 
 
@@ -129,7 +130,7 @@ def retarget_bvh(
 ) -> MotionClip:
     """Retarget the motion of a BVH file to a shipped humanoid, and log the remaining errors.
 
-    The part from `start_s` to `end_s` (None: the end) is used, at `fps` (None: the file's).
+    The part from `start_s` to `end_s` (None: the end) is used, at `fps` (None: the file's rate).
     """
     source = load_bvh_source(path, mapping, start_s, end_s, fps)
     targets = make_targets(source, humanoid_figure(skeleton))
@@ -153,9 +154,9 @@ def load_bvh_source(
     end_s: float | None = None,
     fps: float | None = None,
 ) -> SourceMotion:
-    """Read the motion of a BVH file; arguments and errors as in `retarget_bvh`.
+    """Read the motion of a BVH file; for the arguments see `retarget_bvh`.
 
-    A warning names a first frame that does not belong to the motion, as in CMU's files.
+    A warning is logged if the first frame is probably a rest pose, as in CMU's files.
     """
     motion = read_bvh(path, [source.joint for source in mapping.sources.values()])
     check_fit(motion, mapping)
@@ -180,7 +181,7 @@ def _frame_to_frame_rad(clip: MotionClip) -> FloatArray:
 
 
 def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> RetargetReport:
-    """Return what remains between a clip of a humanoid and its targets."""
+    """Return the errors of a humanoid's clip against its targets."""
     positions, turns = clip.global_poses()
     missed = positions - targets.positions
     feet = [clip.body_names.index(foot) for foot in FEET]
@@ -202,7 +203,7 @@ def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> R
 
 @dataclass(frozen=True, eq=False)
 class RobotMotion:
-    """A retargeted motion of a robot: qpos (T, nq) in MuJoCo's order, and how near it is."""
+    """A retargeted motion of a robot: qpos (T, nq) and its errors."""
 
     fps: float
     qpos: npt.NDArray[np.float64]
@@ -210,7 +211,7 @@ class RobotMotion:
 
 
 def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
-    """Retarget a motion to a robot, and log what remains."""
+    """Retarget a motion to a robot, and log the remaining errors."""
     targets = make_targets(source, robot.figure)
     first = problem = robot_problem(robot, targets, source.fps)
     qpos = solve_poses(problem)
@@ -220,8 +221,8 @@ def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
         feet = targets.positions[:, robot.figure.body_names.index(foot)]
         wanted.append(robot.figure.soles[foot].places(feet, targets.turns[foot]))
     for _ in range(_CORRECTIONS):
-        # A robot without an ankle, or with one at its limit, cannot give its foot the source's
-        # attitude; its sole is then elsewhere although the foot's origin is where it should be.
+        # A foot without an ankle, or with its ankle at a limit, cannot have the source's rotation.
+        # Its sole then misses its place although the foot's origin does not.
         goals, points, places = dict(problem.goals), robot.soles(qpos), robot.padded(wanted)
         for side, foot in enumerate(FEET):
             body = robot.mapping.bodies[foot].body
@@ -239,7 +240,7 @@ def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
 
 
 def _make_continuous(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> None:
-    """Give quaternions of poses (T, nq) signs that do not jump, the first with w >= 0; in place."""
+    """Change signs of quaternions in poses (T, nq) in place: no jumps, and first w >= 0."""
     for joint in range(model.njnt):
         kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
         if kind == mujoco.mjtJoint.mjJNT_HINGE:

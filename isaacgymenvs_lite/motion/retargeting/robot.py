@@ -1,4 +1,4 @@
-"""A robot as the target of retargeting: its figure, its soles, and its inverse kinematics."""
+"""A robot as the target of retargeting: its figure (lengths and soles) and inverse kinematics."""
 
 from __future__ import annotations
 
@@ -39,30 +39,28 @@ from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations
 
 _START_POSES = ("home", "stand", "standing")
-_LEAD_IN = 30  # frames from the start pose to the first of the motion
-_STANDS = 0.4  # of the length of the legs, between hip and foot
+_LEAD_IN = 30  # frames from the start pose to the first frame of the motion
+_STANDS = 0.4  # least height of a standing robot's hips above its feet, share of the legs' length
 _LIMBS = (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand"))
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot and how it is moved; made by `robot_from_model`."""
+    """A robot as the target of retargeting; made by `robot_from_model`."""
 
     model: mujoco.MjModel  # compiled, a free root as first joint, hinges and ball joints
-    mapping: RobotMapping  # of its bodies to the humanoid's names
-    start: FloatArray  # (nq,), the pose in which it stands upright
-    figure: Figure  # its lengths and soles, upright and facing +x
-    # (4,) xyzw, by the humanoid's names: the body's attitude in the upright figure.
+    mapping: RobotMapping  # the robot's bodies by the humanoid's names
+    start: FloatArray  # (nq,), a pose in which the robot stands upright
+    figure: Figure  # lengths and soles of the upright robot that faces +x
+    # (4,) xyzw, rotations of the bodies in the upright figure by the humanoid's names
     frames: dict[str, FloatArray]
-    # (3,) m, the middle of the hips seen from the pelvis' origin, in the upright figure.
-    hips: FloatArray
-    # Ids of the hinges that bend limbs, with their lowest and highest angle in rad; the straight
-    # limb is left out.
+    hips: FloatArray  # (3,) m, from the pelvis' origin to the middle of the hips, upright
+    # Ids and ranges (rad) of the hinges that bend limbs; the ranges exclude the straight limb.
     bends: dict[int, tuple[float, float]]
-    followers: Followers  # the joints that follow others
+    followers: Followers  # the joints that follow other joints
 
     def soles(self, qpos: FloatArray) -> FloatArray:
-        """Return the lowest places (T, 2, K, 3) m of both soles' points, qpos (T, nq)."""
+        """Return the world positions (T, 2, K, 3) m of both soles' points for qpos (T, nq)."""
         places = []
         for foot in FEET:
             body = self.mapping.bodies[foot].body
@@ -73,9 +71,9 @@ class Robot:
         return self.padded(places)
 
     def padded(self, of_feet: Sequence[npt.NDArray[Any]]) -> npt.NDArray[Any]:
-        """Return values (T, K, ...) of the points of both soles as one array (T, 2, K, ...).
+        """Stack values (T, K, ...) of both soles' points into one array (T, 2, K, ...).
 
-        A foot with fewer points than the other repeats its last one.
+        The foot with fewer points repeats its last point.
         """
         most = max(values.shape[1] for values in of_feet)
         rows = [[min(i, v.shape[1] - 1) for i in range(most)] for v in of_feet]
@@ -85,27 +83,31 @@ class Robot:
 def robot_from_model(
     model: mujoco.MjModel, mapping: RobotMapping, start: FloatArray | None = None
 ) -> Robot:
-    """Return a robot that can be retargeted to.
+    """Prepare a robot as the target of retargeting.
 
-    The model has a free root as first joint, hinges and ball joints. In the pose `start` (nq,) it
-    stands upright; None: the mapping's, from the model. Raises ConfigError for other joints, a body
-    or start pose of the mapping that the model lacks, a start pose in which it does not stand, or a
-    foot without geometry.
+    The robot stands upright in the pose `start` (nq,); None uses the mapping's start pose. Raises
+    ConfigError for joints other than a free root, hinges and ball joints, names that the model
+    lacks, a start pose in which the robot does not stand, or a foot without geoms.
     """
     _check(model, mapping)
     followers = Followers(model)
-    start = followers.placed(_start_pose(model, mapping.start_pose) if start is None else start)
+    if start is None:
+        name, keys = mapping.start_pose, [model.key(i).name for i in range(model.nkey)]
+        if name and name not in keys:
+            raise ConfigError(f"start_pose: {unknown('key of the robot', name, keys)}")
+        key = next((k for k in ((name,) if name else _START_POSES) if k in keys), None)
+        start = np.array(model.qpos0 if key is None else model.key(key).qpos)
+    start = followers.placed(start)
     found, turned = body_poses(model, start[None], [b.body for b in mapping.bodies.values()])
     places = dict(zip(mapping.bodies, found[0], strict=True))
     leg_m = leg_length({name: place[None] for name, place in places.items()})
     high_m = min(places[f"{side}_thigh"][2] - places[f"{side}_foot"][2] for side in SIDES)
-    if high_m < max(_STANDS * leg_m, 1e-3):  # directions would mean nothing
+    if high_m < max(_STANDS * leg_m, 1e-3):
         raise ConfigError(
             f"the robot does not stand in its start pose: a hip is {high_m:.2f} m above its "
             f"foot, and the legs are {leg_m:.2f} m long; give start_pose, a keyframe, or "
             "start_rotation, the root's quaternion xyzw, in a mapping file"
         )
-    # A rotation about z; the left of a standing robot is from hip to hip.
     left = places["left_thigh"] - places["right_thigh"]
     half = 0.5 * math.atan2(-left[0], left[1])
     facing = torch.tensor((0.0, 0.0, math.sin(half), math.cos(half)), dtype=torch.float64)
@@ -140,7 +142,7 @@ def robot_from_model(
 
 
 def robot_problem(robot: Robot, targets: Targets, fps: float) -> IkProblem:
-    """Return the problem whose solution are poses of the robot near the targets."""
+    """Return the inverse kinematics problem for the targets."""
     names = robot.figure.body_names
     goals, weights = {}, {}
     for name, entry in robot.mapping.bodies.items():
@@ -157,32 +159,27 @@ def robot_problem(robot: Robot, targets: Targets, fps: float) -> IkProblem:
         goals[entry.body], weights[entry.body] = goal, (entry.position, rotation)
     first_pose = _first_pose(robot, goals)
     places, turns = body_poses(robot.model, first_pose[None], list(goals))
-    for i, body in enumerate(goals):
-        goals[body] = _led_in(places[0, i], turns[0, i], goals[body])
+    # The goals begin with `_LEAD_IN` steps from the first pose: without them the search may rotate
+    # an arm the long way round, to its limits.
+    share = np.arange(_LEAD_IN) / _LEAD_IN
+    for (body, goal), place, turn in zip(goals.items(), places[0], turns[0], strict=True):
+        first = rotations.xyzw_from_wxyz(torch.from_numpy(goal[:1, :4])).numpy()
+        way = (turn[None].repeat(_LEAD_IN, 0), first.repeat(_LEAD_IN, 0))
+        steps = torch.from_numpy(interpolate_rotations(*way, share))
+        between = place + share[:, None] * (goal[0, 4:] - place)
+        lead = np.concatenate((rotations.wxyz_from_xyzw(steps).numpy(), between), axis=1)
+        goals[body] = np.concatenate((lead, goal))
     limits = _limits(robot)
     return IkProblem(robot.model, fps, goals, weights, first_pose, robot.start, limits, _LEAD_IN)
 
 
-def _led_in(place: FloatArray, turn: FloatArray, goal: FloatArray) -> FloatArray:
-    """Return goals (N + T, 7) that begin with a way from a body's pose to the first of (T, 7).
-
-    From afar the search may turn an arm the long way round, to its limits.
-    """
-    share = np.arange(_LEAD_IN) / _LEAD_IN
-    first = rotations.xyzw_from_wxyz(torch.from_numpy(goal[:1, :4])).numpy()
-    turns = interpolate_rotations(turn[None].repeat(_LEAD_IN, 0), first.repeat(_LEAD_IN, 0), share)
-    places = place + share[:, None] * (goal[0, 4:] - place)
-    wxyz = rotations.wxyz_from_xyzw(torch.from_numpy(turns)).numpy()
-    return np.concatenate((np.concatenate((wxyz, places), axis=1), goal))
-
-
 def _check(model: mujoco.MjModel, mapping: RobotMapping) -> None:
-    """Refuse joints that retargeting does not move, and bodies that the model lacks."""
+    """Raise a ConfigError for joints that retargeting cannot move and for wrong body names."""
     kinds = [mujoco.mjtJoint(kind) for kind in model.jnt_type]
     if not kinds or kinds[0] != mujoco.mjtJoint.mjJNT_FREE or model.jnt_bodyid[0] != 1:
         raise ConfigError(
-            "the robot has no free joint at its first body, so that it cannot move through the "
-            "world; add <freejoint/> to its root"
+            "the robot has no free joint at its first body and cannot move through the world; add "
+            "<freejoint/> to its root"
         )
     for i, kind in enumerate(kinds[1:], start=1):
         if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_BALL):
@@ -202,25 +199,18 @@ def _check(model: mujoco.MjModel, mapping: RobotMapping) -> None:
             raise ConfigError(f"{where}: {unknown('body of the robot', entry.body, known)}")
         if entry.body in used:
             raise ConfigError(
-                f"{where} is '{entry.body}', and so is {used[entry.body]}; a body can follow one"
+                f"{where} and bodies.{used[entry.body]} are both '{entry.body}', expected different"
+                " bodies"
             )
         used[entry.body] = name
-
-
-def _start_pose(model: mujoco.MjModel, name: str) -> FloatArray:
-    keys = [model.key(i).name for i in range(model.nkey)]
-    if name and name not in keys:
-        raise ConfigError(f"start_pose: {unknown('key of the robot', name, keys)}")
-    choices = [choice for choice in ((name,) if name else _START_POSES) if choice in keys]
-    return model.key(choices[0]).qpos.copy() if choices else model.qpos0.copy()
 
 
 def _bends(
     model: mujoco.MjModel, mapping: RobotMapping, start: FloatArray
 ) -> dict[int, tuple[float, float]]:
-    """Return the hinges that bend limbs, with their ranges on the larger side of the straight limb.
+    """Return the hinges that bend limbs (`find_bend`), with the ranges in which they stay, in rad.
 
-    A limb bends where `find_bend` says.
+    A range is the larger part of the hinge's range on one side of the straight limb.
     """
     bends = {}
     for side in SIDES:
@@ -258,7 +248,7 @@ def _limits(robot: Robot) -> JointLimits:
 
 
 def _first_pose(robot: Robot, goals: dict[str, FloatArray]) -> FloatArray:
-    """Return the start pose with bent limbs, its pelvis where the first frame has it."""
+    """Return the start pose with bent limbs and with the pelvis at its first goal."""
     qpos = robot.start.copy()
     for joint, (low, high) in robot.bends.items():
         near, far = (low, high) if abs(low) < abs(high) else (high, low)

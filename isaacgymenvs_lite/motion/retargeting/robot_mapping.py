@@ -1,7 +1,6 @@
-"""Mapping files for robots: which body of a robot moves as which body of the humanoid.
+"""Mapping files from the humanoid's bodies to a robot's, and guesses for robots without a file.
 
-docs/motion_formats.md describes them; assets/retargeting/robots has those that ship. Without a file
-the bodies are guessed by their names.
+docs/motion_formats.md describes the files; assets/retargeting/robots has the shipped files.
 """
 
 from __future__ import annotations
@@ -32,20 +31,19 @@ from isaacgymenvs_lite.robots.start_pose import posed
 from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.utils import rotations
 
-_ANGLES = 91  # at which a hinge is tried
-# Arms end at least so far from the middle, as a share of the height of the hips.
-_ASIDE = 0.1
+_ANGLES = 91  # number of angles tried for a hinge
+_ASIDE = 0.1  # least distance of hands from the middle, as a share of the root's height
 _LEG, _ARM = ("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand")
 
 
 def find_bend(
     model: mujoco.MjModel, start: FloatArray, top: int, end: int
 ) -> tuple[int, FloatArray, FloatArray] | None:
-    """Return the hinge that bends a limb, a knee or an elbow, by MuJoCo's kinematics.
+    """Return the hinge that bends a limb (its knee or elbow), or None.
 
-    It is the hinge between the bodies `top` and `end` that changes their distance most, with the
-    other joints as in `start` (nq,). Returns the joint, angles (rad) over its range, and the
-    distances (m) at them; None of a limb without a hinge between its ends.
+    It is the hinge that changes the distance of the bodies `top` and `end` most, with the other
+    joints as in `start` (nq,). The result is the joint's id, angles (rad) over its range, and the
+    distances (m) at these angles.
     """
     between = itertools.takewhile(lambda body: body != top, ancestors(model, end)[1:])
     names = [model.body(top).name, model.body(end).name]
@@ -63,11 +61,11 @@ def find_bend(
 
 
 def find_limbs(model: mujoco.MjModel, start: FloatArray) -> dict[str, int]:
-    """Return the ids of bodies of a robot on two legs by the humanoid's names, or {}.
+    """Return the body ids of a biped by the humanoid's names, or {}.
 
-    The legs are the limbs that end on the floor in the pose `start` (nq,), the arms those that end
-    farthest aside above them. A limb bends where `find_bend` says. The robot looks along the x axis
-    of its free root.
+    Legs are the limbs that end on the floor in the pose `start` (nq,); arms are the other limbs
+    that end farthest to the sides. `find_bend` finds shins and lower arms. The robot looks along
+    the x axis of its free root.
     """
     ends = [model.body(name).id for name in limb_ends(model, start)]
     grounded = {model.body_weldid[model.body(name).id] for name in touching_bodies(model, start)}
@@ -92,10 +90,10 @@ def _pair(
     parts: tuple[str, ...],
     aside_m: float,
 ) -> tuple[dict[str, int], int] | None:
-    """Return the links of the limbs that end farthest to the left and right, and what carries both.
+    """Return the links of the limbs that end farthest to the left and right, and their parent.
 
-    That is the last body with joints that moves both limbs, or the root. None: no pair ends at
-    least `aside_m` from the middle. `parts` are the names of a limb's three links.
+    The parent is the last body with joints that moves both limbs, or the root. `parts` are the
+    names of a limb's three links. Return None if no pair ends at least `aside_m` from the middle.
     """
     places, turns = body_poses(model, start[None], [model.body(i).name for i in (1, *ends)])
     back = rotations.quat_conjugate(torch.from_numpy(turns[0, :1])).expand(len(ends), 4)
@@ -104,7 +102,7 @@ def _pair(
     if left_m.max() <= aside_m or left_m.min() >= -aside_m:
         return None
     sides = {"left": ends[int(left_m.argmax())], "right": ends[int(left_m.argmin())]}
-    # Bodies with joints, from below the root to the end.
+    # The bodies with joints from the root (excluded) to the end of each limb.
     chains = {
         side: [i for i in reversed(ancestors(model, end)[:-1]) if model.body_jntnum[i] > 0]
         for side, end in sides.items()
@@ -127,7 +125,7 @@ def _pair(
 
 
 NEEDED = ("pelvis", *(f"{side}_{part}" for side in SIDES for part in ("thigh", "shin", "foot")))
-# Each body before those that need it as their parent.
+# The parent of each body; parents come first.
 _PARENTS = {
     "torso": "pelvis",
     "head": "torso",
@@ -141,7 +139,7 @@ _PARENTS = {
     },
 }
 ROBOT_BODIES = ("pelvis", *_PARENTS)
-_OF_ARMS = ("lower_arm", "hand")  # useless without the body before them
+_OF_ARMS = ("lower_arm", "hand")  # these need their parents
 _MAX_WEIGHT = 1e3
 
 
@@ -166,7 +164,7 @@ class _RobotMappingSettings:
 
 @dataclass(frozen=True)
 class RobotBody:
-    """A body of the robot and the weights of its place (1/m) and attitude (1/rad)."""
+    """A body of the robot, and the weights of its position (1/m) and rotation (1/rad)."""
 
     body: str
     position: float
@@ -175,34 +173,33 @@ class RobotBody:
 
 @dataclass(frozen=True, eq=False)
 class RobotMapping:
-    """How the humanoid's bodies move a robot."""
+    """A mapping from the humanoid's bodies to a robot's."""
 
     name: str  # the file, or the name of a shipped mapping
-    # Of the robot, by the humanoid's names, parents first; `NEEDED` and more. Empty: they are found
-    # by their names (`guess_robot_mapping`).
+    # The robot's bodies by the humanoid's names, parents first; all of `NEEDED`, or empty for
+    # `guess_robot_mapping`.
     bodies: Mapping[str, RobotBody]
-    # Key of the model in which it stands upright; "": home, stand or standing, if there is one,
-    # else the pose of the model file.
+    # Keyframe in which the robot stands upright; "" selects home, stand, standing, or the model's
+    # own pose.
     start_pose: str = ""
-    fastest_rad_s: float = 20.0  # how fast a hinge may be from frame to frame
-    # Xyzw, of the root in the start pose; None: as there. The clip commands use it
-    # (`motion.convert`).
+    fastest_rad_s: float = 20.0  # largest speed of a hinge
+    # The root's quaternion xyzw in the start pose, for `motion.convert`; None: no change.
     start_rotation: tuple[float, ...] | None = None
 
     def parent(self, name: str) -> str | None:
-        """Return the nearest body before `name` that is mapped; None of the pelvis."""
+        """Return the nearest mapped ancestor of `name`, or None for the pelvis."""
         above = _PARENTS.get(name)
         return above if above is None or above in self.bodies else self.parent(above)
 
 
 def shipped_robot_mappings() -> dict[str, Path]:
-    """Return the files of the shipped mappings for robots by name."""
+    """Return the files of the shipped robot mappings by name."""
     folder = paths.assets_dir() / "retargeting" / "robots"
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
 def load_robot_mapping(mapping: str | Path) -> RobotMapping:
-    """Read a mapping file for a robot, or the shipped one of that name, or raise a ConfigError."""
+    """Read a robot's mapping file, or the shipped mapping of this name, or raise a ConfigError."""
     with reading(mapping, "mapping file"):
         path, content = read_mapping_keys(mapping, shipped_robot_mappings(), "bodies")
         settings = read_section(_RobotMappingSettings, content, where=str(path), complete=True)
@@ -235,8 +232,8 @@ def _robot_body(name: str, entry: Any, where: str) -> RobotBody:
     if name not in WITH_ATTITUDE:
         if settings.rotation:
             raise ConfigError(
-                f"{where}.rotation is {settings.rotation:g}, but limbs have no attitude of their "
-                f"own in the source; only {', '.join(WITH_ATTITUDE)} have one"
+                f"{where}.rotation is {settings.rotation:g}, but the source has rotations only of "
+                f"{', '.join(WITH_ATTITUDE)}; leave it out"
             )
         rotation = 0.0
     return RobotBody(
@@ -246,8 +243,8 @@ def _robot_body(name: str, entry: Any, where: str) -> RobotBody:
     )
 
 
-# What a body is called, by the humanoid's names, in words of MJCF and URDF files of robots; the
-# first pattern that fits any body counts. A joint's name serves as its body's second name.
+# Patterns of body and joint names in robots' files by the humanoid's names; the first pattern with
+# a match decides.
 _WORDS = {
     "pelvis": ("pelvis", "hips", "waist_?base|base"),
     "torso": ("torso|chest|thorax", "trunk", "waist|spine|abdomen"),
@@ -269,11 +266,10 @@ _SIDES = {
 def guess_robot_mapping(
     model: mujoco.MjModel, start: FloatArray | None = None
 ) -> tuple[RobotMapping, str]:
-    """Match the bodies of a robot to the humanoid's, by their names or else by the joints.
+    """Match the bodies of a robot to the humanoid's by their names, else by the joints.
 
-    `start` (nq,) is the pose in which it stands; None: the model's first one. Returns the mapping,
-    and one line that lists what was matched. Raises ConfigError, which has what to write, if a leg
-    or the pelvis cannot be found.
+    The robot stands in the pose `start` (nq,); None is the model's own pose. Return the mapping and
+    a line that lists the matches. Raises ConfigError with advice if a part of a leg is not found.
     """
     names = {i: model.body(i).name for i in range(1, model.nbody)}
     found = {
@@ -292,20 +288,19 @@ def guess_robot_mapping(
     if missing:
         raise ConfigError(
             f"cannot find {', '.join(missing)} of the robot by the names of its bodies (matched "
-            f"{matched}); write a mapping file with a line for each under 'bodies:', such as "
-            f"'left_foot: <body>'; its bodies: {', '.join(names.values())}"
+            f"{matched}); write a mapping file with a line for each under 'bodies:', for "
+            f"example 'left_foot: <body>'; its bodies: {', '.join(names.values())}"
         )
     bodies = {name: _robot_body(name, names[body], "guessed") for name, body in found.items()}
     return RobotMapping(f"guessed by {how}", bodies), f"bodies by {how}: {matched}"
 
 
 def _plausible(model: mujoco.MjModel, found: Mapping[str, int]) -> dict[str, int]:
-    """Return the bodies that fit each other, parents first.
+    """Return the matches without contradictions, parents first.
 
-    Bodies that are matched already and arms without the body before them are left out; so are
-    shins, feet, lower arms and hands of another limb than the body before them, which keeps front
-    and hind legs of a quadruped apart. A foot without geoms, a frame or a sensor, is replaced by
-    the link that it is fixed to.
+    Second matches of a body, arms without their parents, and links that are not below their parents
+    (for example a quadruped's hind feet) are dropped. A foot without geoms is replaced by the link
+    that carries it.
     """
     kept: dict[str, int] = {}
     for name, body in found.items():
@@ -326,16 +321,20 @@ def _plausible(model: mujoco.MjModel, found: Mapping[str, int]) -> dict[str, int
 
 def _guess(model: mujoco.MjModel, names: Mapping[int, str], name: str) -> int | None:
     side, _, part = name.partition("_") if name.startswith(SIDES) else ("", "", name)
+    joints = {
+        i: " ".join(model.joint(j).name for j in np.flatnonzero(model.jnt_bodyid == i) if j > 0)
+        for i in names
+    }
     for pattern in _WORDS[part]:
-        for of in (lambda i: names[i], lambda i: _joint_names(model, i)):
-            bodies = [i for i in names if names_body(of(i), pattern, side)]
+        for texts in (names, joints):
+            bodies = [i for i in names if names_body(texts[i], pattern, side)]
             if bodies:
                 return _of_chain(model, bodies, part)
     return None
 
 
 def names_body(text: str, pattern: str, side: str) -> bool:
-    """Return whether a name has the pattern of a body, and the side; "" is the middle."""
+    """Return whether a name matches the pattern of a body and the side ("" for the middle)."""
     lower = text.lower()
     if not re.search(pattern, lower) or _NOT.search(lower):
         return False
@@ -349,16 +348,11 @@ def names_body(text: str, pattern: str, side: str) -> bool:
     return sides == ({side} if side else set())
 
 
-def _joint_names(model: mujoco.MjModel, body: int) -> str:
-    joints = np.flatnonzero(model.jnt_bodyid == body)
-    return " ".join(model.joint(i).name for i in joints if i > 0)
-
-
 def _of_chain(model: mujoco.MjModel, bodies: Sequence[int], part: str) -> int:
-    """Choose among the links of one joint, such as hip pitch, roll and yaw.
+    """Choose one of several links that match the same part, for example hip pitch, roll and yaw.
 
-    A limb begins at the last link near the first one; a later link may be far down the limb. The
-    end of a limb is the last link.
+    A thigh or upper arm is the last link near the first link. A foot, hand or torso is the last
+    link, other parts are the first link.
     """
     if part in ("thigh", "upper_arm"):
         places = posed(model, model.qpos0).xpos[bodies]

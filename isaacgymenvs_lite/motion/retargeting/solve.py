@@ -1,8 +1,7 @@
-"""Inverse kinematics of a whole motion with mink: the poses nearest to the targets.
+"""Inverse kinematics of a whole motion with mink.
 
-An `IkProblem` holds what differs between figures: goals, weights, posture and limits. mink itself
-limits hinges only; `DofLimits` also keeps the three components of a ball joint's rotation vector
-within their limits, and how far a hinge moves from one frame to the next.
+mink limits only hinges. `DofLimits` also limits the three components of a ball joint's rotation
+vector and the speed of hinges.
 """
 
 from __future__ import annotations
@@ -29,10 +28,10 @@ _SOLVER = "daqp"  # the quadratic-programming solver that mink itself installs
 _FIRST_ITERATIONS, _ITERATIONS = 200, 20
 _CONVERGED_RAD = 1e-3  # largest step (rad, m) of the last iteration
 _DAMPING = 1e-4
-# Weights of places (1/m) and attitudes (1/rad), by the humanoid's names without their side. The
-# feet come first, then hands and trunk, then knees and elbows, which decide to which side a limb
-# bends. An ankle at its limit tilts the foot rather than turn the leg out. The torso has a place so
-# that a spine of several joints does not bend back where an arm is at its limit.
+# Weights of positions (1/m) and rotations (1/rad), by the humanoid's names without their side. Feet
+# have the largest weights, then hands and pelvis, then shins and lower arms, which decide to which
+# side a limb bends. The torso's position keeps a spine of several joints from bending back when an
+# arm is at its limit.
 WEIGHTS = {
     "pelvis": (10.0, 3.0),
     "torso": (4.0, 3.0),
@@ -42,13 +41,13 @@ WEIGHTS = {
     "shin": (8.0, 0.0),
     "foot": (30.0, 3.0),
 }
-# Towards the posture and towards the frame before. They decide what the targets leave open, such
-# as the twist of a straight arm, and what a joint does that has reached its limit.
+# Weights of the distances to the posture and to the frame before. They decide what the targets
+# leave open, for example the twist of a straight arm.
 _POSTURE, _STEADINESS = 0.02, 0.2
-# The search starts with bent limbs, so that the gradient has the side to which they bend.
+# The search starts with bent limbs; the gradient then knows the side to which they bend.
 FIRST_BEND_RAD = 0.5
-# Knees and elbows stay bent a little: bending a straight limb does not shorten it to first order,
-# so that the search would get stuck there.
+# Knees and elbows stay bent a little: the search gets stuck at a straight limb, because bending it
+# does not shorten it to first order.
 LEAST_BEND_RAD = math.radians(2.0)
 
 
@@ -58,37 +57,36 @@ class JointLimits:
 
     hinges: Mapping[int, tuple[float, float]]  # joint id -> lowest and highest angle in rad
     # Joint id -> lowest and highest components (3,) rad of the rotation vector, and the largest
-    # length of the vector in rad, as MuJoCo limits a ball joint.
+    # length of the vector in rad (MuJoCo's limit of a ball joint).
     balls: Mapping[int, tuple[FloatArray, FloatArray, float]]
-    fastest_rad_s: float = math.inf  # how fast a hinge may be from frame to frame
+    fastest_rad_s: float = math.inf  # largest speed of a hinge
 
 
 @dataclass(frozen=True, eq=False)
 class IkProblem:
-    """A model with a free root as its first joint, and what its poses should be near to."""
+    """A model with a free root as its first joint, and the goals of its bodies in T frames."""
 
     model: mujoco.MjModel  # the compiled model
     fps: float  # frames per second
-    # (T, 7) of each body that has one: quaternion wxyz and place in m, as mink takes them.
-    goals: Mapping[str, FloatArray]
-    weights: Mapping[str, tuple[float, float]]  # of a goal's place (1/m) and attitude (1/rad)
-    first_pose: FloatArray  # (nq,), where the search of the first frame starts
-    posture: FloatArray  # (nq,), the pose for what the goals leave open
-    limits: JointLimits  # of the joints
-    lead_in: int = 0  # so many goals at the start only guide the search; their poses are left out
+    goals: Mapping[str, FloatArray]  # (T, 7) by body: quaternion wxyz and position in m
+    weights: Mapping[str, tuple[float, float]]  # by body: of position (1/m) and rotation (1/rad)
+    first_pose: FloatArray  # (nq,), the start of the first frame's search
+    posture: FloatArray  # (nq,), the preferred pose where the goals leave a choice
+    limits: JointLimits  # limits of the joints
+    lead_in: int = 0  # number of first frames that guide the search and are not returned
 
 
 def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
-    """Return the poses (T, nq) nearest to the goals within the limits of the joints.
+    """Return the poses (T, nq) nearest to the goals within the joint limits.
 
-    Each search starts from the pose of the frame before. Joints that follow others do so exactly.
+    Each search starts from the pose of the frame before. Followers follow their leaders exactly.
     """
     mink = import_package("mink", "retargeting")
     model = problem.model
     configuration = mink.Configuration(model)
     configuration.update(problem.first_pose.copy())
     jointed = np.ones(model.nv)
-    jointed[:6] = 0.0  # the root goes where the targets are
+    jointed[:6] = 0.0  # the root has no posture
     posture = mink.PostureTask(model, cost=_POSTURE * jointed)
     posture.set_target(problem.posture)
     steadiness = mink.PostureTask(model, cost=_STEADINESS * jointed)
@@ -129,15 +127,15 @@ def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
 
 
 def weights_of(body: str) -> tuple[float, float] | None:
-    """Return the weights of a body with a name of the humanoid's; None: it has no goal."""
+    """Return the weights of a humanoid's body; None if it has no goal."""
     return WEIGHTS.get(body) or WEIGHTS.get(body.partition("_")[2])
 
 
 def humanoid_problem(
     model: mujoco.MjModel, skeleton: Skeleton, targets: Targets, fps: float
 ) -> IkProblem:
-    """Return the problem of a shipped humanoid, whose bodies the targets name."""
-    # Rigid hands have no attitude of their own: they follow their forearms.
+    """Return the inverse kinematics problem of a shipped humanoid."""
+    # Rigid hands have no rotation of their own: they follow their forearms.
     jointed = {skeleton.body_names[body] for body in (0, *skeleton.dof_body_ids)}
     weights = {
         body: (pair[0], pair[1] if body in jointed & set(targets.turns) else 0.0)
@@ -146,7 +144,7 @@ def humanoid_problem(
     }
     goals = {body: body_goals(skeleton.body_names, targets, body) for body in weights}
     limits = humanoid_limits(model, skeleton)
-    # The zero pose with bent knees and elbows at the place of the first pelvis.
+    # The zero pose with bent knees and elbows, and the pelvis at its first goal.
     first_pose = model.qpos0.copy()
     first_pose[:7] = np.roll(goals["pelvis"][0], 3)
     for joint in limits.hinges:
@@ -156,7 +154,7 @@ def humanoid_problem(
 
 
 def body_goals(names: Sequence[str], targets: Targets, body: str) -> FloatArray:
-    """Return quaternions wxyz and positions (T, 7) of a body, as mink takes them."""
+    """Return the targets of a body as quaternions wxyz and positions (T, 7)."""
     places = targets.positions[:, names.index(body)]
     upright = np.tile((0.0, 0.0, 0.0, 1.0), (len(places), 1))
     turns = torch.from_numpy(targets.turns.get(body, upright))
@@ -164,7 +162,7 @@ def body_goals(names: Sequence[str], targets: Targets, body: str) -> FloatArray:
 
 
 def humanoid_limits(model: mujoco.MjModel, skeleton: Skeleton) -> JointLimits:
-    """Return the limits of a shipped humanoid's joints; knees and elbows stay bent a little."""
+    """Return the limits of a shipped humanoid's joints; straight knees and elbows are excluded."""
     lower, upper = skeleton.dof_limits.T
     hinges, balls = {}, {}
     spans = itertools.pairwise(skeleton.dof_offsets)
@@ -173,14 +171,14 @@ def humanoid_limits(model: mujoco.MjModel, skeleton: Skeleton) -> JointLimits:
         if end - start == 3:
             balls[joint] = (lower[start:end], upper[start:end], math.inf)
         else:
-            # The straight limb is one of the limits.
+            # A limit of 0 is the straight limb.
             low, high = float(lower[start]), float(upper[start])
             hinges[joint] = (low or LEAST_BEND_RAD, high or -LEAST_BEND_RAD)
     return JointLimits(hinges, balls)
 
 
 class DofLimits:
-    """Linear limits of a step from the present pose; one of mink's limits by its method."""
+    """Linear limits of a step from the present pose, with the interface of mink's limits."""
 
     def __init__(self, mink: Any, model: mujoco.MjModel, limits: JointLimits) -> None:
         self._constraint = mink.Constraint
@@ -193,11 +191,11 @@ class DofLimits:
         self._reach = math.inf
 
     def start_frame(self, last: FloatArray, time_s: float) -> None:
-        """Limit the way of hinges from the pose `last` (nq,), `time_s` before."""
+        """Limit the hinges' speed from the pose `last` (nq,) `time_s` before."""
         self._last, self._reach = last[self._columns], self._limits.fastest_rad_s * time_s
 
     def compute_qp_inequalities(self, configuration: Any, dt: float) -> Any:
-        """Return G and h of G step <= h for a step (nv) in the tangent space; `dt` is not used."""
+        """Return G and h of G step <= h for a step (nv,) in the tangent space; `dt` is unused."""
         angles, lower, upper = configuration.q[self._columns], self._lower, self._upper
         if self._last is not None:
             lower = np.maximum(lower, self._last - self._reach)
@@ -222,8 +220,8 @@ class DofLimits:
 def nearest_vector(quaternion: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Return the rotation vector (3,) rad of a quaternion (4,) wxyz that exceeds the limits least.
 
-    A rotation by an angle a is one by a - 360 deg about the same axis as well; an arm that hangs
-    down behind its limit of -180 deg must not appear at 180.
+    The angles a and a - 360 deg about an axis are the same rotation. An arm slightly beyond its
+    limit of -180 deg must not appear at 180 deg.
     """
     short = np.zeros(3)
     mujoco.mju_quat2Vel(short, quaternion, 1.0)
@@ -235,9 +233,9 @@ def nearest_vector(quaternion: FloatArray, lower: FloatArray, upper: FloatArray)
 
 
 def vector_jacobian(vector: FloatArray) -> npt.NDArray[np.float64]:
-    """Return how a rotation vector (3,) changes with a small turn in the child's frame, (3, 3).
+    """Return the derivative (3, 3) of a rotation vector by a small rotation in the child's frame.
 
-    The inverse of the right Jacobian of SO(3).
+    This is the inverse of the right Jacobian of SO(3).
     """
     angle = float(np.linalg.norm(vector))
     x, y, z = vector

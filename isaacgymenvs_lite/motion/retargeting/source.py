@@ -1,4 +1,4 @@
-"""The motion to retarget, of a BVH file or a clip: places and attitudes by the humanoid's names."""
+"""The source motion of a retargeting, and the figures (lengths and soles) that it moves."""
 
 from __future__ import annotations
 
@@ -26,20 +26,19 @@ FEET = tuple(f"{side}_foot" for side in SIDES)
 
 @dataclass(frozen=True, eq=False)
 class SourceMotion:
-    """T frames of a figure in its own size; its bodies have the names of the humanoid's."""
+    """T frames of a figure in its own size; its bodies have the humanoid's names."""
 
-    name: str  # of the clip or file
+    name: str  # the clip or file
     fps: float  # frames per second
-    places: Mapping[str, FloatArray]  # (T, 3) m of the near end of each body, in the world, z up
-    # (T, 4) xyzw, attitudes in the world; the identity is the upright figure that faces +x. Limbs
-    # have none: their attitudes follow from the places.
+    places: Mapping[str, FloatArray]  # (T, 3) m, world position of each body's origin, z up
+    # (T, 4) xyzw, world rotations; the identity is the upright figure that faces +x. Limbs have
+    # none: their rotations follow from the positions.
     turns: Mapping[str, FloatArray]
-    # Feet whose soles are made parallel to the ground, see `targets`.
-    levelled: tuple[str, ...] = ()
+    levelled: tuple[str, ...] = ()  # feet whose soles `targets` makes parallel to the ground
 
 
 def source_from_bvh(clip: MotionClip, mapping: SkeletonMapping) -> SourceMotion:
-    """Return the motion of a BVH file's skeleton, in m, z up; it has the joints of the mapping."""
+    """Return the motion of a BVH file's skeleton, in m, z up, which has the mapping's joints."""
     everywhere, attitudes = clip.global_poses()
     index = {body: clip.body_names.index(s.joint) for body, s in mapping.sources.items()}
     return SourceMotion(
@@ -59,8 +58,8 @@ def source_from_clip(clip: MotionClip) -> SourceMotion:
     """Return the motion of a clip of a shipped humanoid, or raise a MotionFileError."""
     if shipped_humanoid_with(clip.body_names) is None:
         raise MotionFileError(
-            f"{clip.name}: no shipped humanoid has its {clip.num_bodies} bodies, so that it cannot "
-            "be retargeted; give a clip of a shipped humanoid or a .bvh file"
+            f"{clip.name}: no shipped humanoid has its {clip.num_bodies} bodies; give a clip of a "
+            "shipped humanoid or a .bvh file"
         )
     places, turns = (
         dict(zip(clip.body_names, np.moveaxis(values, 1, 0), strict=True))
@@ -70,7 +69,7 @@ def source_from_clip(clip: MotionClip) -> SourceMotion:
 
 
 def leg_length(places: Mapping[str, FloatArray]) -> float:
-    """Return the length of thigh and shin, the mean of both legs and all frames of (T, 3)."""
+    """Return the length of thigh and shin in m, averaged over both legs and all frames (T, 3)."""
     total = 0.0
     for side in SIDES:
         for upper, lower in (("thigh", "shin"), ("shin", "foot")):
@@ -80,23 +79,22 @@ def leg_length(places: Mapping[str, FloatArray]) -> float:
 
 
 def rotated_in_body(turns: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return rotations (T, 4) after the rotation `frame` (4,) in the body's own axes."""
+    """Return rotations (T, 4), each followed by the rotation `frame` (4,) in the body's axes."""
     q = torch.from_numpy(turns)
     return rotations.quat_mul(q, torch.from_numpy(frame).expand_as(q)).numpy()
 
 
 def rotate(turns: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return a vector (3,) rotated by each of (T, 4)."""
+    """Return a vector (3,) rotated by each quaternion (T, 4)."""
     q = torch.from_numpy(turns)
     return rotations.quat_apply(q, torch.from_numpy(vector).expand(len(q), 3)).numpy()
 
 
-# Radii of the humanoid's hands and, about the origin of the shin, knees.
+# Radii of the humanoid's hands and knees (at the origins of the shins).
 _ROUND_M = {"right_hand": 0.04, "left_hand": 0.04, "right_shin": 0.05, "left_shin": 0.05}
-# Points this much higher than the lowest one, with the robot upright, belong to the sole.
+# Points up to this height above the lowest point belong to the sole.
 _SOLE_M = 0.015
-# Seen from above, a sole with more points is described by those that reach furthest in so many
-# directions.
+# A sole with more points is reduced to the outermost points in this many horizontal directions.
 _DIRECTIONS = 12
 _Geom = mujoco.mjtGeom
 _ENDS = tuple(itertools.product((-1.0, 1.0), repeat=3))
@@ -104,13 +102,10 @@ _ENDS = tuple(itertools.product((-1.0, 1.0), repeat=3))
 
 @dataclass(frozen=True, eq=False)
 class Sole:
-    """The points of a foot that can touch the ground: balls of radii (K,) m, 0 at corners.
+    """The balls of a foot that can touch the ground; corners are balls of radius 0."""
 
-    `points` (K, 3) m are their centres relative to the foot, in the axes of the upright figure.
-    """
-
-    points: FloatArray
-    radii: FloatArray
+    points: FloatArray  # (K, 3) m, centres relative to the foot, in the upright figure's axes
+    radii: FloatArray  # (K,) m
 
     @property
     def length_m(self) -> float:
@@ -120,35 +115,34 @@ class Sole:
         return max(float(extent.max()), 1e-3)
 
     def places(self, feet: FloatArray, turns: FloatArray) -> FloatArray:
-        """Return the lowest places (T, K, 3) m of the balls, for feet (T, 3) turned by (T, 4)."""
+        """Return the balls' lowest points (T, K, 3) m for feet at (T, 3) with rotations (T, 4)."""
         centres = np.stack([feet + rotate(turns, point) for point in self.points], axis=1)
         return centres - self.radii[:, None] * np.array((0.0, 0.0, 1.0))
 
     def lowest(self, turns: FloatArray) -> FloatArray:
-        """Return the height (T,) m of the lowest point over the foot."""
+        """Return the height (T,) m of the sole's lowest point relative to the foot."""
         balls = zip(self.points, self.radii, strict=True)
         return np.min([rotate(turns, point)[:, 2] - radius for point, radius in balls], axis=0)
 
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """The upright figure that faces +x: J bodies with names of the humanoid's, parents first."""
+    """An upright figure that faces +x: J bodies with the humanoid's names, parents first."""
 
     body_names: tuple[str, ...]  # J names
     parent_indices: tuple[int, ...]  # J ids, -1 for the pelvis
-    # (J, 3) m, of the near end of a body from its parent's; the pelvis' is not used.
-    offsets: FloatArray
-    soles: Mapping[str, Sole]  # of both feet
+    offsets: FloatArray  # (J, 3) m, relative to the parent; the pelvis' row is not used
+    soles: Mapping[str, Sole]  # by foot
     round_m: Mapping[str, float]  # m, radii of bodies that may lie on the ground
-    pins_feet: bool  # whether feet in contact are held in place; else they slide as the source's
+    pins_feet: bool  # whether feet in contact are held in place
 
     @property
     def leg_length_m(self) -> float:
-        """The length of thigh and shin, the mean of both legs."""
+        """The length of thigh and shin in m, averaged over both legs."""
         return leg_length(self.rest_places())
 
     def rest_places(self) -> dict[str, FloatArray]:
-        """Return the places (1, 3) m of the upright figure's bodies."""
+        """Return the positions (1, 3) m of the upright figure's bodies."""
         places: dict[str, FloatArray] = {}
         bodies = zip(self.body_names, self.parent_indices, self.offsets, strict=True)
         for body, parent, offset in bodies:
@@ -169,7 +163,7 @@ def humanoid_figure(skeleton: Skeleton) -> Figure:
 
 
 def round_bodies(figure_leg_m: float, names: tuple[str, ...]) -> dict[str, float]:
-    """Return radii of hands and knees of another figure, in proportion to its legs."""
+    """Return the radii in m of a figure's hands and knees, in proportion to its legs."""
     humanoid_leg_m = humanoid_figure(skeleton_for_num_dofs(28)).leg_length_m
     radii = _ROUND_M.items()
     return {body: m * figure_leg_m / humanoid_leg_m for body, m in radii if body in names}
@@ -178,19 +172,19 @@ def round_bodies(figure_leg_m: float, names: tuple[str, ...]) -> dict[str, float
 def find_sole(
     model: mujoco.MjModel, start: FloatArray, foot: str
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return centres (K, 3) m, seen from the foot in world axes, and radii (K,) of a robot's sole.
+    """Return the balls of a robot's sole: centres (K, 3) m relative to the foot, and radii (K,) m.
 
-    Corners of boxes, ends of capsules and cylinders, spheres, vertices of meshes, of the foot and
-    of bodies that it carries. Geoms that do not collide count only if no other exists. In the pose
-    `start` (nq,) the robot stands upright with flat feet. Raises ConfigError for a foot without
-    geoms.
+    The centres are in world axes in the pose `start` (nq,), in which the robot stands with flat
+    feet. They are corners, ends, centres or vertices of geoms. The geoms belong to the foot and its
+    child bodies; visual geoms count only without collision geoms. Raises ConfigError for a foot
+    without geoms.
     """
     data, body = posed(model, start), model.body(foot).id
     geoms = [i for i in range(model.ngeom) if body in ancestors(model, int(model.geom_bodyid[i]))]
     colliding = [i for i in geoms if model.geom_contype[i] or model.geom_conaffinity[i]]
     parts = [_points(model, data, geom) for geom in colliding or geoms]
     if not parts:
-        raise ConfigError(f"the foot '{foot}' of the robot has no geoms: where is its sole?")
+        raise ConfigError(f"the foot '{foot}' of the robot has no geoms, expected a sole")
     centres = np.concatenate([points for points, _ in parts])
     radii = np.concatenate([np.full(len(points), radius) for points, radius in parts])
     heights = centres[:, 2] - radii
@@ -205,7 +199,7 @@ def find_sole(
 def _points(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int
 ) -> tuple[npt.NDArray[np.float64], float]:
-    """Return points (K, 3) m in the world, and the radius of the balls about them."""
+    """Return a geom's points (K, 3) m in the world, and the radius of the balls around them."""
     kind, size = _Geom(int(model.geom_type[geom])), model.geom_size[geom]
     radius = 0.0
     if kind == _Geom.mjGEOM_SPHERE:
@@ -214,7 +208,7 @@ def _points(
         local, radius = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]]), float(size[0])
     elif kind == _Geom.mjGEOM_MESH:
         local = mesh_vertices(model, geom).astype(np.float64)
-    else:  # corners of a box, and of the box around a cylinder or an ellipsoid
+    else:  # corners of a geom's box
         half = (size[0], size[0], size[1]) if kind == _Geom.mjGEOM_CYLINDER else size
         local = np.array(_ENDS) * half
     return local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom], radius

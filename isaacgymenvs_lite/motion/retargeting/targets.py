@@ -1,4 +1,4 @@
-"""Target poses of a figure's bodies: the source's motion, scaled limb by limb."""
+"""Target poses of a figure's bodies: the source's motion scaled limb by limb, with feet at rest."""
 
 from __future__ import annotations
 
@@ -21,28 +21,27 @@ from isaacgymenvs_lite.motion.retargeting.source import (
 )
 from isaacgymenvs_lite.utils import rotations
 
-Flags = npt.NDArray[np.bool_]  # True where a point touches the ground
+Flags = npt.NDArray[np.bool_]  # True for points that touch the ground
 
-# A point of a sole touches the ground while it is this low and slow. The sole is not exactly the
-# source's: where the foot rolls over heel or toes, its own edge is a little off the source's.
+# A point of a sole touches the ground while it is lower and slower than this.
 CONTACT_LOW_M, _SLOW_M_S = 0.02, 0.5
-# A foot that swings is at least this high in the middle of its way, for a foot of 1 m: less would
-# scrape. Near its ends it rises and sinks in this share of the way.
-_CLEARANCE, _RISE_SHARE, _BLEND = 0.12, 0.3, 0.05
+_CLEARANCE = 0.12  # least height of a foot in mid swing, in lengths of the sole
+_RISE_SHARE = 0.3  # share of a swing in which the foot rises
+_BLEND = 0.05  # height in which two curves are blended, in lengths of the sole
 _MOST_TWIST_RAD = np.radians(20.0)
-# Contacts of this length are noise, and so are gaps in them.
+# Contacts, and gaps in contacts, up to this length are noise.
 _NOISE_S = 0.05
-# A point this much above the lowest one bears 1 / e of its share of a foot.
+# A point this much above the lowest point has 1 / e of its weight.
 _RESTS_M = 0.005
 
 
 def pin_feet(
     sole: Sole, feet: FloatArray, turns: FloatArray, fps: float
 ) -> tuple[Flags, FloatArray, FloatArray]:
-    """Return where points (T, K) touch, and a foot's places (T, 3), attitudes (T, 4) at rest there.
+    """Hold a foot in contact; return contacts (T, K), positions (T, 3) and rotations (T, 4) xyzw.
 
-    Between contacts the correction passes smoothly from the last contact's to the next one's.
-    `feet` (T, 3) m are places over the ground z = 0, `turns` (T, 4) xyzw the attitudes.
+    The correction changes smoothly between contacts. `feet` (T, 3) m are positions over the ground
+    z = 0 and `turns` (T, 4) xyzw the foot's rotations.
     """
     contact = find_contacts(sole.places(feet, turns), fps)
     touching = np.any(contact, axis=1)
@@ -51,7 +50,7 @@ def pin_feet(
     moved = _planted(points, contact)
     _bridge(moved, touching)
     least = _CLEARANCE * sole.length_m * swing_profile(touching) - points[..., 2].min(axis=1)
-    # The larger height, rounded where both cross in a swing.
+    # The larger of both heights, with a smooth transition in a swing.
     width = _BLEND * sole.length_m
     round_off = np.maximum(width - np.abs(moved[:, 2] - least), 0.0) ** 2 / (4.0 * width)
     moved[:, 2] = np.maximum(moved[:, 2], least) + np.where(~touching, round_off, 0.0)
@@ -59,9 +58,9 @@ def pin_feet(
 
 
 def _untwisted(sole: Sole, feet: FloatArray, turns: FloatArray, contact: Flags) -> FloatArray:
-    """Return the attitudes (T, 4) without rotation about z between points in contact.
+    """Return the rotations (T, 4) without rotation about z during contacts.
 
-    A foot that turns far on the ground, as dancers' do, keeps its turn.
+    A foot that rotates far on the ground, for example in a dance, keeps its rotation.
     """
     points = sole.places(feet, turns)[..., :2]
     touching = np.any(contact, axis=1)
@@ -81,7 +80,7 @@ def _untwisted(sole: Sole, feet: FloatArray, turns: FloatArray, contact: Flags) 
 
 
 def _twist(before: FloatArray, after: FloatArray) -> float:
-    """Return the rotation in rad that fits two sets of points (K, 2) best; 0 of a single one."""
+    """Return the best rotation in rad between two sets of points (K, 2); 0 for a single point."""
     if len(before) < 2:
         return 0.0
     a, b = before - before.mean(axis=0), after - after.mean(axis=0)
@@ -90,9 +89,9 @@ def _twist(before: FloatArray, after: FloatArray) -> float:
 
 
 def swing_profile(touching: Flags) -> FloatArray:
-    """Return 0 (T,) in contact, 1 in the middle of each swing, with smooth ways between.
+    """Return a smooth profile (T,): 0 in contact, 1 in the middle of each swing.
 
-    At the ends of the motion a swing is cut off; there it stays as high as it has become.
+    A swing at an end of the motion stays at 1 until this end.
     """
     profile = np.zeros(len(touching))
     for start, end in spans(~touching):
@@ -109,10 +108,10 @@ def _smoothed(share: FloatArray) -> FloatArray:
 
 
 def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
-    """Return how the root must rise (T,) m so that the lowest point in contact is on the ground.
+    """Return the root's rise (T,) m that puts the lowest point in contact on the ground.
 
-    Between contacts it passes smoothly from one to the next; no point stays below the ground. The
-    points (T, ..., 3) m are of all soles, and `contact` (T, ...) says which touch.
+    The rise changes smoothly between contacts and leaves no point below the ground. `points`
+    (T, ..., 3) m belong to all soles, and `contact` (T, ...) marks points in contact.
     """
     heights = np.where(contact, points[..., 2], np.inf).reshape(len(points), -1).min(axis=1)
     touching = np.isfinite(heights)
@@ -123,10 +122,10 @@ def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
 
 
 def replanted(points: FloatArray, wanted: FloatArray, contact: Flags) -> FloatArray:
-    """Return how a foot must move (T, 3) m so that it rests without sliding, near where it should.
+    """Return the shift (T, 3) m with which a foot rests near `wanted` without sliding.
 
-    Between contacts it passes smoothly from one to the next. The sole's points (T, K, 3) m are to
-    be at `wanted`; those in `contact` (T, K) touch the ground.
+    The shift changes smoothly between contacts. `points` and `wanted` (T, K, 3) m are the sole's
+    present and desired points; `contact` (T, K) marks points in contact.
     """
     touching = np.any(contact, axis=1)
     moved = _planted(points, contact)
@@ -139,9 +138,9 @@ def replanted(points: FloatArray, wanted: FloatArray, contact: Flags) -> FloatAr
 
 
 def _planted(points: FloatArray, contact: Flags) -> FloatArray:
-    """Return how a foot must move (T, 3) so that its points rest on z = 0; 0 between contacts.
+    """Return the shift (T, 3) m with which points rest on z = 0 without sliding; else 0.
 
-    In the plane the mean of a contact's shift is zero: the foot stays where the source has it.
+    The mean horizontal shift of a contact is zero: the foot stays near the source's position.
     """
     moved = np.zeros((len(points), 3))
     for start, end in spans(np.any(contact, axis=1)):
@@ -156,10 +155,10 @@ def _planted(points: FloatArray, contact: Flags) -> FloatArray:
 
 
 def _resting(heights: FloatArray, contact: Flags) -> FloatArray:
-    """Return how much of a foot rests on each point, (T, K) with sum 1, 0 without contact.
+    """Return the weight of each point of a foot (T, K), with sum 1, or 0 without contact.
 
-    A foot rests on its lowest points. Other points in contact are a little higher, and move as the
-    foot rolls over its heel or toes; their weight falls with their height, without a jump.
+    Weights fall smoothly with the height over the lowest point in contact, because higher points
+    move while the foot rolls over its heel or toes.
     """
     above = heights - np.where(contact, heights, np.inf).min(axis=1, keepdims=True)
     weights = np.where(contact, np.exp(-np.where(contact, above, 0.0) / _RESTS_M), 0.0)
@@ -167,7 +166,7 @@ def _resting(heights: FloatArray, contact: Flags) -> FloatArray:
 
 
 def find_contacts(points: FloatArray, fps: float) -> Flags:
-    """Return which of the points (T, K, 3) m touch the ground z = 0, (T, K)."""
+    """Return whether points (T, K, 3) m touch the ground z = 0, (T, K)."""
     speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1) * fps
     contact = (points[..., 2] < CONTACT_LOW_M) & (speed < _SLOW_M_S)
     longest = round(_NOISE_S * fps)
@@ -188,7 +187,7 @@ def spans(flags: Flags) -> list[tuple[int, int]]:
 
 
 def _bridge(values: FloatArray, known: Flags) -> None:
-    """Fill the rows of (T, D) that are not known with smooth ways between the known ones."""
+    """Fill unknown rows of (T, D) in place by smooth transitions between the known rows."""
     if not known.any():
         values[:] = 0.0
         return
@@ -202,38 +201,36 @@ def _bridge(values: FloatArray, known: Flags) -> None:
 
 _log = logging.getLogger(__name__)
 
-# Bodies that are placed in the source's direction from their parent, at the figure's distance.
+# Bodies in the source's direction from their parent, at the figure's distance.
 _LIMBS = ("lower_arm", "hand", "shin")
 # A foot is on the ground while its joint is slower than this and near its lowest height.
 _CONTACT_SPEED = 0.2  # m/s
 _CONTACT_HEIGHT_M = 0.01
 _FEWEST_CONTACT_FRAMES = 5
-# A larger tilt of the sole is no difference between rigs but part of the motion.
+# A larger tilt of the sole belongs to the motion, a smaller one to the rig.
 _MOST_LEVELLING_RAD = np.radians(15.0)
-# The ground is at the lowest corner of a sole, hand or knee, except in this share of the frames
-# (noise).
+# Noise may put points below the ground in this share of the frames.
 _BELOW_GROUND_SHARE = 0.02
 # A sole is level if its points differ in height by less than this share of its length.
 _LEVEL = 0.1
-# In lengths of a sole, how deep its toes may go below the ground where the foot rolls over them.
+# Largest depth of rolling toes below the ground, in lengths of the sole.
 _DEEPEST = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """T poses for J bodies, in the world."""
+    """World poses of J bodies in T frames."""
 
-    # (T, J, 3) m, of the near ends of the bodies. Limbs have the figure's lengths and the source's
+    # (T, J, 3) m, origins of the bodies. Limbs have the figure's lengths and the source's
     # directions; pelvis and feet are scaled by the length of the legs.
     positions: FloatArray
-    # (T, 4) xyzw, attitudes of the bodies that follow the source's, by name.
-    turns: dict[str, FloatArray]
+    turns: dict[str, FloatArray]  # (T, 4) xyzw, rotations by body, for bodies that have a target
     scale: float  # the figure's leg length divided by the source's
-    contacts: dict[str, Flags]  # (T, K) of each foot, which points of its sole rest on the ground
+    contacts: dict[str, Flags]  # (T, K) by foot, whether the sole's points rest on the ground
 
 
 def make_targets(source: SourceMotion, figure: Figure) -> Targets:
-    """Return the targets of a figure that moves as the source does."""
+    """Return the targets of a figure that imitates the source."""
     turns = dict(source.turns)
     scale = figure.leg_length_m / leg_length(source.places)
     scaled = {body: place * scale for body, place in source.places.items()}
@@ -259,7 +256,7 @@ def make_targets(source: SourceMotion, figure: Figure) -> Targets:
             pinned = pin_feet(sole, feet, turns[foot], source.fps)
             contacts[foot], positions[:, column], turns[foot] = pinned
         else:
-            # Not below the ground, whatever the noise.
+            # Noise must not put the sole below the ground.
             feet[:, 2] += np.maximum(ground - soles[foot], 0.0)
             contacts[foot] = find_contacts(sole.places(feet, turns[foot]), source.fps)
     return Targets(positions, turns, scale, contacts)
@@ -272,9 +269,10 @@ def _ground_of_level_soles(
     fps: float,
     ground: float,
 ) -> float:
-    """Return how much higher (m) the ground is where soles are level and hardly move.
+    """Return the height (m) of soles at rest above `ground`, or 0 if it is small.
 
-    A sole longer than the source's goes below the ground where the foot rolls over its toes.
+    A sole longer than the source's goes below the ground while the foot rolls over its toes. Soles
+    that are level and slow show the real ground.
     """
     heights = []
     for foot in FEET:
@@ -297,10 +295,10 @@ def _widen_stance(
     scaled: dict[str, FloatArray],
     turns: dict[str, FloatArray],
 ) -> None:
-    """Move the feet apart as the figure's hips are wider than the scaled source's.
+    """Move the feet apart by the difference in hip width between the figure and the scaled source.
 
-    Legs keep their directions from the hips. The way is the foot's own left, so that a foot that
-    stands is moved by the same vector in all frames.
+    The legs keep their directions. A foot moves along its own left axis: a standing foot then has
+    the same shift in all frames.
     """
     rest = figure.rest_places()
     own = float(np.linalg.norm(rest["left_thigh"] - rest["right_thigh"]))
@@ -316,9 +314,9 @@ def _add_other_bodies(
     source: SourceMotion,
     turns: dict[str, FloatArray],
 ) -> None:
-    """Place trunk and limbs from the pelvis outwards; without a source, at the parent's place.
+    """Add the positions of trunk and limbs, from the pelvis outwards.
 
-    Sword and shield are no targets; they have the places of the hands.
+    Bodies without a source (sword and shield) get their parent's position.
     """
     places = source.places
     for i, body in enumerate(figure.body_names):
@@ -338,16 +336,15 @@ def _add_other_bodies(
 
 
 def _levelled(turns: FloatArray, places: FloatArray, fps: float, foot: str) -> FloatArray:
-    """Return the attitudes (T, 4) of a foot, rotated so that its sole is flat while on the ground.
+    """Return the rotations (T, 4) of a foot, corrected for a flat sole during contact.
 
-    Rigs differ in the frame of a foot. The median over the frames on the ground gives its direction
-    up.
+    Rigs differ in the frame of a foot; the median over the frames on the ground shows its up axis.
     """
     speed = np.linalg.norm(np.gradient(places, axis=0), axis=1) * fps
     low = places[:, 2] < np.quantile(places[:, 2], 0.05) + _CONTACT_HEIGHT_M
     on_ground = low & (speed < _CONTACT_SPEED)
     if np.count_nonzero(on_ground) < _FEWEST_CONTACT_FRAMES:
-        _log.info("%s: never on the ground; the mapping alone gives the attitude of its sole", foot)
+        _log.info("%s: never on the ground; its sole keeps the mapping's rotation", foot)
         return turns
     upright = np.tile((0.0, 0.0, 1.0), (int(on_ground.sum()), 1))
     inverse = rotations.quat_conjugate(torch.from_numpy(turns[on_ground]))
@@ -356,9 +353,7 @@ def _levelled(turns: FloatArray, places: FloatArray, fps: float, foot: str) -> F
     axis = torch.from_numpy(np.cross((0.0, 0.0, 1.0), up))
     angle = torch.atan2(axis.norm(), torch.tensor(up[2]))
     if angle > _MOST_LEVELLING_RAD:
-        _log.info(
-            "%s: never flat on the ground; the mapping alone gives the attitude of its sole", foot
-        )
+        _log.info("%s: never flat on the ground; its sole keeps the mapping's rotation", foot)
         return turns
     _log.info("%s: sole levelled by %.1f deg", foot, float(torch.rad2deg(angle)))
     return rotated_in_body(turns, rotations.quat_from_angle_axis(angle, axis).numpy())

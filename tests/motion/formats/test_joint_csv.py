@@ -1,4 +1,4 @@
-"""Tables of joint angles: what they hold, and that mistakes in them are named."""
+"""Tests tables of joint angles: their content, and the messages about mistakes."""
 
 from __future__ import annotations
 
@@ -81,9 +81,9 @@ def test_mistakes_are_one_line(table: Path, humanoid) -> None:
         (knee, "right_nee [rad]", None, r"'right_nee' \(did you mean 'right_knee'"),
         (knee, "right_knee", None, r"has no unit; choices: 'right_knee \[rad\]', "),
         (knee, "left_knee [rad]", None, "names left_knee twice"),
-        (knee, knee, "nan", "row 1 holds a number that is NaN"),
+        (knee, knee, "nan", "row 1 holds NaN"),
         (knee, knee, "1,2", "row 1 has 37 values, expected 36"),
-        ("time [s]", "time [s]", "1", "the time steps are 0 to 0 s, expected equal ones above 0"),
+        ("time [s]", "time [s]", "1", "the time steps are 0 to 0 s, expected equal steps above 0"),
         ("root_qw", "root_qw", "0.5", "'pelvis' in frame 0 is no unit quaternion"),
     ):
         table.write_text(right)

@@ -1,4 +1,4 @@
-"""Files are written here with csv text, pickle and numpy alone, not with the project's writers."""
+"""The tests write files by csv text, pickle and numpy instead of the project's writers."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_mimickit(tmp_path):
 
 
 def dump(path, data, how):
-    """Write a dictionary as users do: pickle, joblib, joblib compressed, numpy."""
+    """Write a dictionary by pickle, joblib, compressed joblib or numpy."""
     if how == "pickle":
         path.write_bytes(pickle.dumps(data))
     elif how == "numpy":
@@ -104,7 +104,7 @@ def dump(path, data, how):
 
 @pytest.mark.parametrize(("how", "suffix"), [("joblib", "pkl"), ("compressed", "pickle")])
 def test_motions_by_name(tmp_path, how, suffix):
-    """As PHC and the tools after it write them."""
+    """Test PHC's form: several motions by name."""
     position, rotation, dofs = arrays(6)
     motion = {"root_trans_offset": position, "root_rot": rotation, "pose_aa": np.zeros((4, 9, 3))}
     motion |= {"dof": np.asfortranarray(dofs)[..., None], "fps": np.int64(50)}
@@ -203,7 +203,7 @@ def test_wxyz_is_reported_and_swapped(tmp_path, caplog):
 
 
 def bodies_of_a_walk(frames=8):
-    """A root that sways while it walks to the side, and two bodies of which one is fixed to it."""
+    """A root that sways while it walks to the side, a body fixed to it, and a moving body."""
     angle = np.linspace(0.0, 0.2, frames)
     # about z by 90 degrees, then about the root's own x by `angle`
     rotation = np.sqrt(0.5) * np.stack(
@@ -241,7 +241,7 @@ def test_bodies_show_the_order_of_their_quaternions(tmp_path, order, world, capl
 def test_an_order_of_quaternions_for_a_file_without_them(tmp_path):
     frames = np.zeros((3, 7)).tolist()
     path = write_pickle(tmp_path / "a.pkl", {"fps": 30, "frames": frames})
-    with pytest.raises(MotionFileError, match=r"no quaternions, so that quat_order=wxyz"):
+    with pytest.raises(MotionFileError, match=r"no quaternions, which quat_order=wxyz"):
         read_joint_clip(path, quat_order="wxyz")
 
 

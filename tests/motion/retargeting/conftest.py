@@ -1,4 +1,4 @@
-"""BVH files for the tests: clips of the humanoid as motion of other skeletons.
+"""Writes BVH files for the tests: clips of the humanoid as motion of other skeletons.
 
 They are written by forward kinematics alone, with the joints, channels and units of CMU and LAFAN1.
 """

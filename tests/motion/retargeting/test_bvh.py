@@ -1,4 +1,4 @@
-"""BVH files as they are read: the same places by another program's kinematics, and mistakes."""
+"""Tests the BVH reader against another program's kinematics, and messages about mistakes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_joints_are_where_the_bodies_were(tmp_path: Path, write_bvh, rig, order)
     expected, places = clip.global_poses()[0], motion.global_poses()[0]
     for i, body in enumerate(clip.body_names):
         joint = motion.body_names.index(mapping.sources[body].joint)
-        # Six digits behind the point of degrees and of the file's units: 1e-8 of 1 m each.
+        # The file has six decimals, in degrees and in its unit: 1e-8 of 1 m each.
         np.testing.assert_allclose(places[:, joint], expected[:, i], atol=1e-6)
 
 
@@ -92,7 +92,7 @@ def test_positions_that_are_other_offsets_count(walk_file: Path) -> None:
 
 
 def below_other_joints(text: str, rotate_root: float, root_channels: str, sway: float) -> str:
-    """Put two joints above the hips, without a change of the hips' motion.
+    """Add two joints above the hips without changing the hips' motion.
 
     Args:
         text: of a file of LAFAN1's skeleton.

@@ -1,4 +1,4 @@
-"""Mapping files: the shipped ones, and what is wrong with others."""
+"""Tests mapping files: the shipped files, and messages about wrong files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mappings of BVH files and robots that are found by names, and what they are mixed up with."""
+"""Tests the mappings of BVH files and robots that are found by names."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from isaacgymenvs_lite.motion import convert as command
 from isaacgymenvs_lite.motion.formats.npz import load_npz
 from isaacgymenvs_lite.motion.formats.robot_clip import read_joint_clip
 from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.retargeting.mapping import shipped_mappings
+from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping, shipped_mappings
 from isaacgymenvs_lite.motion.retargeting.mapping_choice import read_named_mappings
 from isaacgymenvs_lite.motion.retargeting.robot_mapping import shipped_robot_mappings
 
@@ -37,7 +37,7 @@ def test_the_keys_of_a_file_tell_its_kind() -> None:
         assert robot is not None
         assert (skeleton.name, robot.name) == ("a.yaml", "b.yaml")
     assert read_named_mappings("") == (None, None)
-    # A mapping of a skeleton without its first keys is not taken for one of a robot.
+    # A skeleton's mapping without its first keys is not read as a robot's mapping.
     Path("c.yaml").write_text("bodies: {pelvis: {joint: Hips, x: +z, z: +y}}")
     with pytest.raises(ConfigError, match=r"'c\.yaml\.up' is missing"):
         read_named_mappings("c.yaml")
@@ -50,7 +50,7 @@ def test_motion_capture_moves_a_robot(write_bvh, caplog) -> None:
     write_bvh(Path("dance.bvh"), load_clips("walk_slow")[0][0], rig)
     with caplog.at_level("INFO"):
         convert("dance.bvh", "found.npz", G1, "end_s=0.2")
-    assert f"dance.bvh: has the joints of mapping={rig}, which is used\n" in caplog.text
+    assert f"dance.bvh: has the joints of mapping={rig}, which is used with up: " in caplog.text
     own = Path("own.yaml")
     own.write_text(shipped_robot_mappings()["g1"].read_text())
     for mapping in ("own.yaml", f"{rig},g1"):
@@ -100,8 +100,9 @@ def test_a_recognised_skeleton_in_other_axes_and_units(
     with caplog.at_level("INFO"):
         for name in ("usual", "other"):
             assert command.main([f"{name}.bvh", f"{name}.npz", "end_s=0.4"]) == 0
-    assert f"usual.bvh: has the joints of mapping={rig}, which is used\n" in caplog.text
-    assert f"mapping={rig}, which is used but for its own up: " in caplog.text
+    assert f"usual.bvh: has the joints of mapping={rig}, which is used with up: " in caplog.text
+    assert f"other.bvh: has the joints of mapping={rig}, which is used with up: " in caplog.text
+    assert "unit_m: 0.0254" in caplog.text
     (heights, way), (other_heights, other_way) = map(heights_and_way, ("usual.npz", "other.npz"))
     np.testing.assert_allclose(other_heights, heights, atol=2e-3)
     assert other_way == pytest.approx(way, abs=1e-3)
@@ -162,7 +163,8 @@ def test_who_lies_crawls_or_stands_on_the_hands_is_not_turned(
     write_bvh(Path("a.bvh"), clip, rig)
     with caplog.at_level("INFO"):
         assert command.main(["a.bvh", "a.npz"]) == 0
-    assert "but for its own" not in caplog.text
+    own = load_mapping(rig)
+    assert f"with up: {own.up}, unit_m: {own.unit_m:g} and its x and z" in caplog.text
 
 
 def test_a_bvh_file_becomes_a_clip(write_bvh, caplog: pytest.LogCaptureFixture) -> None:
@@ -176,7 +178,7 @@ def test_a_bvh_file_becomes_a_clip(write_bvh, caplog: pytest.LogCaptureFixture) 
 
 
 def test_a_rest_pose_at_the_start_is_told(write_bvh, caplog: pytest.LogCaptureFixture) -> None:
-    """As CMU's files begin: a first frame without rotations, then the motion."""
+    """The first frame has no rotations, as in CMU's files."""
     path = write_bvh(Path("run.bvh"), load_clips("run")[0][0], "cmu")
     command.main(["run.bvh", "a.npz", "mapping=cmu"])
     assert "rest pose" not in caplog.text

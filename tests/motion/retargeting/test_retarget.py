@@ -1,4 +1,4 @@
-"""Motion of other skeletons on the humanoid, against the clips that their files were made from."""
+"""Compares retargeted motion with the clips from which the source files were made."""
 
 from __future__ import annotations
 
@@ -94,19 +94,19 @@ def test_joint_limits_hold(tmp_path: Path, write_bvh, humanoid, make_humanoid_cl
 def test_published_motion_follows_within_its_joint_limits(
     tmp_path: Path, write_bvh, humanoid, name
 ) -> None:
-    """Real mocap, which leaves the humanoid's limits by up to 24 deg: hands and feet follow."""
+    """Hands and feet follow motion capture that exceeds the humanoid's limits by up to 24 deg."""
     original = load_clips(f"deepmimic:{name}")[0][0]
     clip = retarget_bvh(
         write_bvh(tmp_path / "a.bvh", original, "cmu"), load_mapping("cmu"), humanoid
     )
-    # Where the ground is taken to be may differ by a constant.
+    # The height of the ground may differ by a constant.
     clip.root_translation[:, 2] += np.float32(
         np.median(original.global_poses()[0][..., 2] - clip.global_poses()[0][..., 2])
     )
     errors = distances(clip, original)
     for body in ("right_hand", "left_hand", "right_foot", "left_foot"):
         assert errors[body] < 0.02, body
-    # No pose jumps to another branch of the solution: joints are as fast as they were.
+    # No pose jumps to another solution: joints have the same speeds as before.
     speed = np.abs(kinematics.joint_velocities(clip.local_rotation, clip.fps)).max()
     before = np.abs(kinematics.joint_velocities(original.local_rotation, original.fps)).max()
     assert speed < 1.5 * before
@@ -156,7 +156,7 @@ def test_the_jacobian_is_the_derivative() -> None:
 
 
 def test_an_arm_behind_its_limit_does_not_jump_to_the_other_side() -> None:
-    # -190 deg about x is +170 deg as well, 125 deg beyond the upper limit of 45 deg.
+    # -190 deg about x equals +170 deg, which is 125 deg beyond the upper limit of 45 deg.
     vector = nearest_vector(
         quaternion(np.radians([-190.0, 0.0, 0.0])),
         np.radians([-180.0, -180.0, -90.0]),

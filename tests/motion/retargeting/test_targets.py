@@ -1,4 +1,4 @@
-"""Targets of a source motion: size, ground, soles."""
+"""Tests the targets of a source motion: size, ground and soles."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ def test_a_foot_rolls_over_the_edge_of_its_toes() -> None:
 
 
 def test_a_foot_of_another_attitude_is_replanted() -> None:
-    """An ankle at its limit leaves the foot flat: it must rest where it should, without sliding."""
+    """A foot with its ankle at the limit stays flat and must rest at its place without sliding."""
     feet, angles = rolls_over_its_toes(SOLE)
     wanted = pitched(SOLE, feet, angles)
     contact = find_contacts(wanted, FPS)
