@@ -225,5 +225,5 @@ def test_several_processes_go_on_exactly_and_others_do_too(tmp_path):
         text=True,
     )
     assert done.returncode == 0
-    assert "2 process(es) trained it and 1 do now" in done.stderr
+    assert "2 process(es) wrote the state, 1 resume" in done.stderr
     assert [file.name for file in folders[2].glob("runs/*/resume/*")] == ["3.pth"]
