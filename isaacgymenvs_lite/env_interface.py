@@ -70,8 +70,8 @@ class AMPEnv(AMPObsEnv, Protocol):
     """A task that AMP can learn, because it also has reference motions.
 
     `infos["terminate"]` (N,) is 1 where an episode ended by a failure. The optional
-    `infos["off_clip"]` (N,) bool is true where the failure was not a fall, but the motion left its
-    clip.
+    `infos["off_clip"]` (N,) bool is true where an episode failed because its motion left the clip,
+    not because of a fall.
     """
 
     def fetch_amp_obs_demo(self, num_samples: int) -> Tensor:

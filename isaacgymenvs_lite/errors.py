@@ -96,7 +96,7 @@ class OverrideError(UserError, AttributeError):
 
 
 class MissingPackageError(UserError, ImportError):
-    """A package of one of our extras is not installed."""
+    """A package is not installed; one of our extras installs it."""
 
 
 class UnavailableError(UserError, NotImplementedError):

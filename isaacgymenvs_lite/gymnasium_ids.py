@@ -102,7 +102,7 @@ def _register(task: str) -> None:
 
 
 class _WhenImported(MetaPathFinder):
-    """Lets the other finders import Gymnasium, then registers the tasks."""
+    """Registers the tasks right after another finder has imported Gymnasium."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None

@@ -82,8 +82,9 @@ class Performance:
     Attributes:
         model: model of the character.
         dt_s: control step in s.
-        tracks: (T, nq) for each panel: clip and policy from the same phase on, or the policy in
-            several environments.
+        tracks: (T, nq) for each panel: clip and policy with the same phase, or the policy in
+        several
+            environments.
         labels: labels of the tracks, or empty.
         markers: markers at each time of each track, for example goals, or empty.
         summary: a sentence about the result over all environments.

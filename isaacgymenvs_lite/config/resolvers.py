@@ -81,7 +81,7 @@ def forbidden_resolver(text: str) -> str | None:
     """Return the part of a text that leads out of the configuration, None if there is none.
 
     A resolver of another package may run code or read the environment. A nested interpolation and
-    a single $ are refused as well, because resolving the text could turn them into such a call.
+    a single $ are also refused, because resolving the text could turn them into calls of resolvers.
     """
     for found in _INTERPOLATION.finditer(text):
         path, end = found.groups()

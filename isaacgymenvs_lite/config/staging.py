@@ -73,8 +73,9 @@ class StagedFiles:
     Attributes:
         words: the overrides.
         folder: the folder that Hydra searches first.
-        refused: the error of each refused file, by the file's name in Hydra. The copy of such a
-            file names a missing file below `REFUSED`, so that only its use is an error.
+        refused: the error of each refused file, by the file's name in Hydra. The copy of a refused
+            file names a missing file below `REFUSED`, so that only a command line that uses the
+            file fails.
     """
 
     words: list[str]

@@ -66,7 +66,7 @@ class ProcessGroup:
         return tensor if self.size == 1 else self.sum_(tensor.detach().clone()) / self.size
 
     def smallest(self, number: int) -> int:
-        """Return the smallest of all processes' numbers."""
+        """Return the smallest `number` of all processes."""
         return min(self.gather(number))
 
     def any(self, flag: bool) -> bool:
@@ -74,7 +74,7 @@ class ProcessGroup:
         return max(self.gather(int(flag))) > 0
 
     def gather(self, number: int) -> list[int]:
-        """Return the numbers of all processes, by rank."""
+        """Return `number` of every process in a list, ordered by rank."""
         if self.size == 1:
             return [number]
         numbers = torch.zeros(self.size, dtype=torch.int64)

@@ -3,8 +3,9 @@
 A **moment** consists of the body positions at a time and a little later, relative to the root's
 ground position and heading at the first time. It therefore describes pose, speed, turning and
 height of the root. The time difference depends on the clip: the bodies must move far enough that a
-frozen pose is a different moment. A moment of a clip is shown if the character has a similar
-moment. The weight of a moment is the distance that the bodies move, so that rest has little weight.
+frozen pose is a different moment. A moment of a clip counts as shown if the character's motion
+contains a similar moment. Its weight is the distance that the bodies move in it, so that rest has
+little weight.
 `docs/imitation_metric.md` explains the results.
 """
 
@@ -174,9 +175,9 @@ def _weight_shown(how_well: Tensor, weights: Tensor, steps: int) -> Tensor:
     """Return the weight () of the moments that a stretch of an episode shows.
 
     The moments of a clip may be nearly alike, for example in a slow crouched walk, so that each
-    step of the episode is near many moments. The step counts for only one of them: an episode that
-    walks for half a second and then stands has shown half a second of the clip. The stretch has
-    more `steps` than rows of `how_well` (T, S), because its last moment ends with the stretch.
+    step of an episode is near many moments. A step counts for only one moment: an episode that
+    walks for half a second and then stands has shown half a second of the clip. A stretch has more
+    `steps` than rows of `how_well` (T, S), because its last moment ends with the stretch.
     """
     best, nearest = how_well.max(dim=1)
     most = (best * weights[nearest]).mean() * steps

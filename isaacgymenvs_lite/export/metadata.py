@@ -146,9 +146,9 @@ def drives_of(model: mujoco.MjModel) -> list[dict[str, Any]]:
     """Return name, stiffness, damping (0 for motors) and effort limit (or None) of all actuators.
 
     The units are Nm/rad, Nm s/rad and Nm for hinges and ball joints, and N/m, N s/m and N for
-    slides. An actuator on a joint also has the joint, its armature (kg m^2, kg for slides) and the
-    first three values of the gear, which are the torque's axis in the body's frame for a ball
-    joint.
+    slides. The entry of an actuator on a joint also contains the joint's name, the joint's armature
+    (kg m^2, kg for slides) and the first three values of the gear. For a ball joint these values
+    are the axis of the torque in the body's frame.
     """
     drives = []
     for i in range(model.nu):

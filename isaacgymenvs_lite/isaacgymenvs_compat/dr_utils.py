@@ -1,6 +1,6 @@
 """The names of IsaacGymEnvs' `utils.dr_utils`.
 
-Two functions work; the others would call Isaac Gym and are stand-ins.
+Two functions work. All other functions would call Isaac Gym, so they are stand-ins.
 """
 
 from __future__ import annotations

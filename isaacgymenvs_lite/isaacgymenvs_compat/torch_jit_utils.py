@@ -4,7 +4,7 @@ Quaternions are xyzw, except in `quaternion_to_matrix` and `matrix_to_quaternion
 comes first. The functions for rotations come from `utils.rotations`; nothing is compiled.
 """
 
-# ruff: noqa: F401  names that are imported only are published names
+# ruff: noqa: F401  imported names that this module does not use are part of the interface
 
 from __future__ import annotations
 

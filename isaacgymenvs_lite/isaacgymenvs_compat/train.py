@@ -21,7 +21,7 @@ def launch_rlg_hydra(cfg: DictConfig | None = None) -> None:
 
 
 def preprocess_train_config(cfg: DictConfig, config_dict: dict[str, Any]) -> dict[str, Any]:
-    """Add device, run name and scaled units to a train section, in place, and return it."""
+    """Set device and run name in a train section, scale the units of its MLP, and return it."""
     pbt = cfg.pbt
     config_dict["params"]["config"] |= {
         "device": cfg.rl_device,

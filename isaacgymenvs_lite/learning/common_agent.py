@@ -235,15 +235,15 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         )
 
     # --- rollout ---------------------------------------------------------------------------
-    # V(s') of every step costs at most one call of the critic per rollout. The policy call of the
-    # next step already evaluates the same observation where the episode continues.
+    # The policy call of the next step evaluates s' if the episode continues, and gives V(s'). One call
+    # of the critic after the rollout evaluates all other states s'.
 
     def play_steps(self) -> dict[str, Any]:
         """Roll the policy out for `horizon_length` steps; row e * H + t is environment e at t."""
         buffer = self.experience_buffer
         next_values = buffer.tensor_dict["next_values"].zero_()
         queue: list[tuple[Tensor, dict[str, Tensor]]] = []
-        pending = torch.zeros(0)
+        is_reused = torch.zeros(0)  # (N,) whether V(s') comes from the next policy call
         step_time_s = 0.0
         for n in range(self.horizon_length):
             self.obs, reset_ids = self._env_reset_done()
@@ -251,7 +251,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             result = self.get_action_values(self.obs)
             if n > 0:
                 last = next_values[n - 1]
-                torch.where(pending.unsqueeze(-1), result["values"], last, out=last)
+                torch.where(is_reused.unsqueeze(-1), result["values"], last, out=last)
             buffer.update_data("obses", n, self.obs["obs"])
             if self.has_central_value:
                 buffer.update_data("states", n, self.obs["states"])
@@ -265,11 +265,13 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             shaped_rewards = self.rewards_shaper(rewards)
             buffer.update_data("rewards", n, shaped_rewards)
             buffer.update_data("dones", n, self.dones)
-            changes = self._needs_next_value()
+            needs_value = self._needs_next_value()
             if n == self.horizon_length - 1 or self._has_own_critic:
-                changes = torch.ones_like(changes)
-            pending = ~changes
-            queue.append(self._rows_to_evaluate(n, changes & ~failures(self.dones, infos).bool()))
+                needs_value = torch.ones_like(needs_value)
+            is_reused = ~needs_value
+            # V(s') stays zero after failures.
+            has_future = ~failures(self.dones, infos).bool()
+            queue.append(self._rows_to_evaluate(n, needs_value & has_future))
             self._mask.add(diverged_in(infos, self.ppo_device))
             self._record_step(n, infos)
             self._track_episodes(rewards, shaped_rewards, infos)
@@ -281,12 +283,12 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return self._rollout_batch(step_time_s)
 
     def _env_reset_done(self) -> tuple[Any, Tensor]:
-        """Reset ended episodes; return all observations, and which environments (n,) were reset."""
+        """Reset ended episodes; return all observations, and the reset environments (n,)."""
         obs, env_ids = self.vec_env.reset_done()
         return self.obs_to_tensors(obs), env_ids
 
     def _after_reset(self, env_ids: Tensor) -> None:
-        """Prepare a policy step, given the environments (n,) whose episodes start there."""
+        """Prepare a policy step, after the episodes of environments (n,) have started."""
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
         """Sample actions and evaluate their values, with the asymmetric critic if there is one."""
@@ -317,11 +319,11 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             )
 
     def _needs_next_value(self) -> Tensor:
-        """Return (N,) bool: environments whose policy inputs change before the next policy step."""
+        """Return (N,) bool, whether the next policy call does not evaluate s'."""
         return self.dones.bool()
 
     def _rows_to_evaluate(self, n: int, rows: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return places of V(s') in the flat rollout, and critic inputs, for rows (N,) bool."""
+        """Return indices of V(s') in the flat rollout, and critic inputs, for rows (N,) bool."""
         env_ids = rows.nonzero().flatten()
         inputs = {"obs": self._preproc_obs(self.obs["obs"]), **self._policy_inputs()}
         if self.has_central_value:
@@ -366,7 +368,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         rewards = self._total_rewards(buffer["rewards"])
         kept = self._mask.kept
         if kept is not None:
-            # A diverged row gets advantage zero; earlier returns then end with its value.
+            # With r = V and V' = 0 the advantage of a diverged row is zero, and the returns of
+            # earlier rows end with its value.
             rewards = torch.where(kept.unsqueeze(-1), rewards, buffer["values"])
             buffer["next_values"].masked_fill_(~kept.unsqueeze(-1), 0.0)
         advantages = self.discount_values(
@@ -383,7 +386,11 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return batch
 
     def _total_rewards(self, task_rewards: Tensor) -> Tensor:
-        """Return rewards (H, N, values) to learn from, and store their terms in the agent."""
+        """Return the rewards to learn from (H, N, values).
+
+        Agents with several reward terms store them in `_rollout_rewards`, for example as
+        `disc_rewards`; the log then has `disc_reward_mean` and `disc_reward_std`.
+        """
         return task_rewards
 
     def discount_values(  # type: ignore[override]  # IsaacGymEnvs' CommonAgent has these arguments
@@ -434,7 +441,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self.dataset.values_dict["advantages"] = self._calc_advs(batch_dict)
 
     def _calc_advs(self, batch_dict: dict[str, Any]) -> Tensor:
-        """Return advantages (B,); only rows that explored count for mean and deviation."""
+        """Return advantages (B,), normalised by the mean and deviation of rows that explored."""
         advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
         if not self.normalize_advantage:
             return advantages
@@ -453,7 +460,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
                 kls.append(result["kl"])
                 if self.schedule_type == "legacy":
                     self._schedule_learning_rate(result["kl"])
-            if self.schedule_type == "standard":
+            if self.schedule_type == "standard":  # the mean KL of all mini-epochs so far
                 self._schedule_learning_rate(torch_ext.mean_list(kls))
             self.diagnostics.mini_epoch(self, mini_epoch)
         if self.schedule_type == "standard_epoch":
@@ -590,7 +597,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         """Return `actor_loss` (n,), and `actor_clipped` (n,) bool: ratios outside the clip range.
 
         PPO's clipped surrogate (Schulman et al. 2017, eq. 7), negated. `ppo: False` selects the
-        plain policy gradient. Both log probabilities are negated.
+        plain policy gradient. The arguments are negative log probabilities, despite their names.
         """
         ratio = torch.exp(old_action_log_probs_batch - action_log_probs)
         clipped = (ratio - 1.0).abs() > curr_e_clip

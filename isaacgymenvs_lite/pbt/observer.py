@@ -366,8 +366,8 @@ def find_replacement(
 def num_needed(num_policies: int) -> int:
     """Return the number of policies that must be known before a policy is replaced.
 
-    It is more than half of them, and at least three as in IsaacGymEnvs. A population of two, which
-    never changes in IsaacGymEnvs, needs both policies.
+    It is more than half of the policies, and at least three as in IsaacGymEnvs. A population of two
+    policies, which never changes in IsaacGymEnvs, needs both.
     """
     return min(num_policies, max(2, num_policies // 2) + 1)
 

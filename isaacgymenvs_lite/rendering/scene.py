@@ -99,8 +99,8 @@ _LIGHT_ABOVE = 0.45
 # and MuJoCo's 4, 28 and 16 would take most of the time of rendering in software.
 _FAST_SHADOW_SIZE, _FAST_SAMPLES, _FAST_FACES = 1024, 0, (16, 8)
 _FLOOR_STEP_M = 10.0
-# Left edge and base line of a label in pixels from the left and from the top. They do not depend on
-# the size of the picture, because the size of the letters does not either.
+# Left edge and base line of a label in pixels from the left and from the top. They are constant,
+# because the size of the letters does not depend on the size of the picture.
 _LABEL_LEFT, _LABEL_BASE = 10, 26
 
 

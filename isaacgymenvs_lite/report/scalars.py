@@ -110,7 +110,7 @@ def read_scalars(summaries: Path) -> dict[str, Series]:
 
 
 def _read_file(file: Path) -> dict[str, FloatArray]:
-    """Return for every scalar over frames the rows (frames, minutes, value) of one process."""
+    """Return rows (frames, minutes, value) for every scalar over frames in one event file."""
     # This import takes half a second, for which an error message should not wait.
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 

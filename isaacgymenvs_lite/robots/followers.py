@@ -131,7 +131,7 @@ def _leaders_first(model: mujoco.MjModel, followers: dict[int, _Follower]) -> tu
 
 
 def _refuse_loop(model: mujoco.MjModel, equality: int) -> None:
-    """Refuse a constraint between two bodies that could move apart without it."""
+    """Refuse a constraint that closes a kinematic loop."""
     ids = (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
     if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
         ids = tuple(int(model.site_bodyid[site]) for site in ids)

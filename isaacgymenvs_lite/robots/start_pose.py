@@ -89,8 +89,8 @@ def start_pose(
     """Return the start pose (Q,) of a robot with a free root at x = y = 0.
 
     Joints without a position keep their initial position in the model; followers follow their
-    leaders. The height is the base's in m; None puts the robot's lowest point `CLEARANCE` above the
-    floor.
+    leaders. `height` is the height of the base in m; if it is None, the robot's lowest point is
+    `CLEARANCE` above the floor.
     """
     qpos = np.array(model.qpos0)
     for joint in range(model.njnt):

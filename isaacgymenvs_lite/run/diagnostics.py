@@ -281,7 +281,7 @@ class DiagnosticsObserver(AlgoObserver):
         return sum(one.stays_up for one in faulty) == LAST_MEASUREMENTS
 
     def _policy_learns(self) -> bool:
-        """Return whether episodes get longer or, where it is measured, the pose error lower."""
+        """Return whether episodes get longer or the measured pose error gets lower."""
         lengths = [epoch.episode_steps for epoch in self._window]
         third = max(1, len(lengths) // 3)
         if _median(lengths[-third:]) >= MIN_GROWTH * _median(lengths[:third]):

@@ -20,7 +20,7 @@ _MAX_FILES = 20
 class DivergenceFiles:
     """A task's listener that writes at most 20 files `<run>/diverged/0001.npz`, `0002.npz`, ...
 
-    Processes other than the main one add their rank to the names: `0001_rank1.npz`.
+    A process with another rank than 0 adds its rank to the names: `0001_rank1.npz`.
     """
 
     def __init__(self, task: Any, run_folder: Path, rank: int = 0) -> None:

@@ -175,9 +175,9 @@ class SimulationBackend(Protocol):
     def write_object_states(self, env_ids: Tensor, object_ids: Tensor, states: Tensor) -> None:
         """Set k objects (indices of `object_names`) of n environments to states (n, k, 13).
 
-        Ids must be unique; their order is free. Everything else in these environments and the other
-        environments does not change by a bit. The solver's warm start of these environments is
-        cleared, so that the next steps depend on their states and controls alone.
+        Ids must be unique; their order is free. No other object, no robot and no other environment
+        changes by a bit. The solver's warm start of the n environments is cleared, so that their
+        next steps depend on states and controls alone.
         """
         ...
 

@@ -39,7 +39,7 @@ def check_memory(needed: Mapping[str, float], advice: str, total_bytes: int | No
     """Refuse a memory use that exceeds the memory of this machine.
 
     Args:
-        needed: bytes by purpose; each is a lower bound.
+        needed: lower bounds of the needed bytes, by purpose.
         advice: settings to lower, for the message.
         total_bytes: memory of the machine; None reads it from the system.
 

@@ -91,7 +91,7 @@ def quat_rotate_inverse(q: Tensor, v: Tensor) -> Tensor:
 
 
 def _rotate(u: Tensor, w: Tensor, v: Tensor) -> Tensor:
-    """Rotate by the formula v (2 w^2 - 1) + 2 w (u x v) + 2 u (u . v), as IsaacGymEnvs."""
+    """Rotate by v (2 w^2 - 1) + 2 w (u x v) + 2 u (u . v), as in IsaacGymEnvs."""
     along = (u * v).sum(dim=-1, keepdim=True)
     return v * (2.0 * w * w - 1.0) + 2.0 * w * cross(u, v) + 2.0 * u * along
 
@@ -125,7 +125,7 @@ def quat_from_angle_axis(angle: Tensor, axis: Tensor) -> Tensor:
 def quat_to_angle_axis(q: Tensor) -> tuple[Tensor, Tensor]:
     """Return angle (...) in (-pi, pi] and unit axis (..., 3) of quaternions (..., 4).
 
-    Rotations with sqrt(1 - w^2) <= 1e-5 give angle 0 and axis (0, 0, 1), as IsaacGymEnvs.
+    Rotations with sqrt(1 - w^2) <= 1e-5 give angle 0 and axis (0, 0, 1), as in IsaacGymEnvs.
     """
     w = q[..., 3].clamp(-1.0, 1.0)
     sin_half = torch.sqrt((1.0 - w * w).clamp(min=0.0))
@@ -285,7 +285,7 @@ def slerp(a: Tensor, b: Tensor, t: Tensor) -> Tensor:
 
 
 def get_euler_xyz(q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return roll, pitch, yaw (...) of quaternions (..., 4), each in [0, 2 pi), as IsaacGymEnvs."""
+    """Return roll, pitch, yaw (...) of quaternions (..., 4), each in [0, 2 pi)."""
     x, y, z, w = q.unbind(-1)
     roll = torch.atan2(2.0 * (w * x + y * z), w * w - x * x - y * y + z * z)
     sin_pitch = 2.0 * (w * y - z * x)

@@ -1,7 +1,7 @@
 """Shows the reference motion of an imitation task as a track or as a translucent robot.
 
 (track,) = recorder.tracks()                    # recorded by a `PoseRecorder`
-reference = reference_track(env, track)         # the clip, from the same phase on
+reference = reference_track(env, track)         # the clip at the same phase
 """
 
 from __future__ import annotations

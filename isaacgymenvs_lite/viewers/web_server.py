@@ -118,8 +118,8 @@ class BesideSnapshot(messages.Snapshot):
 class LinkEndpoint:
     """The viewer's `ViewerEndpoint`, which turns packets of the task into the viewer's messages.
 
-    The link does not always show the end of the task's process `parent`, because processes that the
-    task has forked may hold the other end.
+    The socket may stay open after the task's process `parent` has exited, because forked children
+    of the task may hold the peer socket. Therefore `parent` is checked as well.
     """
 
     def __init__(self, link: socket.socket, parent: int) -> None:

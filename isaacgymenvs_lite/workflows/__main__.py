@@ -128,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def read_command(
     settings: type[Settings], args: argparse.Namespace
 ) -> tuple[Settings, list[str], list[str]]:
-    """Sort the words of a command line; words take precedence over Isaac Lab's options.
+    """Divide `key=value` words among command, task and agent file; they override options.
 
     Returns:
         The command's own keys, the words for the task, and the words for the agent file.

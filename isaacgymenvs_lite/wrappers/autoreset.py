@@ -143,7 +143,7 @@ class AutoresetTask:
             return self.task.reset()
 
     def reset_some(self, mask: Tensor, seed: int | None = None) -> Observations:
-        """Start new episodes where `mask` (N,) bool is True; return the observations of all."""
+        """Start new episodes where `mask` (N,) is True; return observations of all environments."""
         if seed is not None:
             self._random.seed(seed)
         self._restart_counts(mask.to(self.task.rl_device))
