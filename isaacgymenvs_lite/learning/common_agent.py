@@ -235,7 +235,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         )
 
     # --- rollout ---------------------------------------------------------------------------
-    # The policy call of the next step evaluates s' if the episode continues, and gives V(s'). One call
+    # The policy call of the next step evaluates s' if the episode continues and gives V(s'). One call
     # of the critic after the rollout evaluates all other states s'.
 
     def play_steps(self) -> dict[str, Any]:
