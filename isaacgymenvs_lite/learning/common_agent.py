@@ -235,8 +235,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         )
 
     # --- rollout ---------------------------------------------------------------------------
-    # The policy call of the next step evaluates s' if the episode continues and gives V(s'). One call
-    # of the critic after the rollout evaluates all other states s'.
+    # If the episode continues, the policy call of the next step evaluates s' and gives V(s'). A
+    # single call of the critic after the rollout evaluates all other states s'.
 
     def play_steps(self) -> dict[str, Any]:
         """Roll the policy out for `horizon_length` steps; row e * H + t is environment e at t."""
