@@ -47,6 +47,8 @@ AMP = {
     "Episode/some": [1.0, 2.0, 3.0],
     "reward_terms/effort": [-0.25, -0.5, -0.75],
 }
+FEW = {"performance/total_fps": [100.0, 120.0], "rewards/step": [10.0, 20.0]}
+"""The scalars of a page with few charts, which is drawn sooner."""
 # As rl_games' PPO and SAC agents write them.
 PPO = {
     "performance/step_inference_rl_update_fps": [1e4, 2e4, 3e4],

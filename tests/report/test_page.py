@@ -14,7 +14,7 @@ from isaacgymenvs_lite.report import page as page_module
 from isaacgymenvs_lite.report.__main__ import main
 from isaacgymenvs_lite.report.page import charts_of, write_report
 from isaacgymenvs_lite.report.scalars import read_scalars
-from tests.report.conftest import AMP, CONFIG
+from tests.report.conftest import AMP, CONFIG, FEW
 
 
 class Page(HTMLParser):
@@ -84,7 +84,7 @@ def test_charts_have_the_scalars_that_the_run_has(make_run) -> None:
 
 @pytest.mark.parametrize("config", ["task: [", "[" * 5000])
 def test_a_damaged_configuration_is_shown_as_it_is(config, make_run) -> None:
-    assert Page(write_report(make_run(AMP, config=config))).config == config
+    assert Page(write_report(make_run(FEW, config=config))).config == config
 
 
 def add_video(run: Path, name: str, content: bytes, mtime: int) -> None:
@@ -94,9 +94,8 @@ def add_video(run: Path, name: str, content: bytes, mtime: int) -> None:
     os.utime(file, (mtime, mtime))
 
 
-@pytest.mark.slow
 def test_the_last_video_is_embedded_unless_it_is_large(make_run, monkeypatch) -> None:
-    run = make_run(AMP)
+    run = make_run(FEW)
     add_video(run, "step-200.mp4", b"newer", 2000)
     add_video(run, "step-0.mp4", b"older", 1000)
     (source,) = Page(write_report(run)).videos
@@ -112,7 +111,7 @@ HOSTILE = "<!--<script>alert(1)<img src=x onerror=alert(2)>'\"$\\frac"
 
 def test_names_and_texts_of_files_are_no_html(make_run) -> None:
     config = f"# {HOSTILE}</pre></script><script>alert(3)</script>\n"
-    run = make_run({**AMP, f"losses/{HOSTILE}": [1.0, 2.0]}, config=config, name=HOSTILE)
+    run = make_run({**FEW, f"losses/{HOSTILE}": [1.0, 2.0]}, config=config, name=HOSTILE)
     add_video(run, f"{HOSTILE}\udcff.mp4", b"video", 1000)  # with a byte that is no UTF-8
     path = write_report(run)
     page, text = Page(path), path.read_text(encoding="utf-8")
@@ -127,7 +126,7 @@ def test_files_outside_of_the_run_are_not_on_its_page(kind, make_run, tmp_path) 
     (tmp_path / "secret").mkdir()
     secret = tmp_path / "secret" / "secret.mp4"
     secret.write_text("secret of the user")
-    run = make_run(AMP, config="")
+    run = make_run(FEW, config="")
     videos = run / "videos"
     if kind == "linked folder":
         videos.symlink_to(secret.parent)
