@@ -51,8 +51,7 @@ def compute_flight_observations(to_target: Tensor, root_states: Tensor) -> Tenso
 def compute_hover_reward(
     to_target: Tensor, root_rot: Tensor, spin: Tensor, upright_weight: float
 ) -> Terms:
-    """Return the reward terms (N,). Being upright and not spinning earns little far from the
-    target.
+    """Return the reward terms (N,), where rewards of attitude and spin shrink with the distance.
 
     `to_target` (N, 3) is in m, `root_rot` (N, 4) is xyzw. `spin` (N,) is the angular velocity about
     the vertical (rad/s). `upright_weight` is the largest reward for being upright.

@@ -126,8 +126,7 @@ def compute_humanoid_observations(
 ) -> Tensor:
     """Return the policy observation, which is also one step of the AMP observation.
 
-    Vectors are in the heading frame, which are the world axes rotated about z by the root's
-    heading.
+    Vectors are in the heading frame: the world axes rotated about z by the root's heading.
 
     Args:
         root_states: (N, 13) world position (m), rotation xyzw, linear and angular velocity.
