@@ -74,8 +74,7 @@ class Quadcopter(HoverTask):
         self.thrusts = torch.zeros(self.num_envs, _NUM_ROTORS, device=self.device)  # newton
 
     def compute_controls(self, actions: Tensor) -> Tensor:
-        """Change hinge targets (rad) and thrusts (newton) by the actions; return both as (N,
-        12)."""
+        """Change hinge targets (rad) and thrusts (newton) by the actions, and return both."""
         self.targets += actions[:, :_NUM_HINGES] * (_HINGE_SPEED_RAD_S * self.sim_dt_s)
         self.targets.clamp_(self._lower, self._upper)
         self.thrusts += actions[:, _NUM_HINGES:] * (_THRUST_SPEED_N_S * self.sim_dt_s)
