@@ -190,8 +190,7 @@ class MotionClip:
             )
 
     def find_repeated_frames(self) -> int | None:
-        """If every pose is stored twice, return the first frame (0 or 1) that equals the next
-        frame.
+        """Return the first frame (0 or 1) that equals the next one if every pose is stored twice.
 
         If poses are not stored twice, return None.
         """

@@ -166,8 +166,7 @@ def _clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]
 def _part(
     clip: MotionClip, skeleton: Skeleton, settings: ConvertSettings
 ) -> tuple[MotionClip, Skeleton]:
-    """Cut a clip at the times in the settings, and resample it to the frame rate in the
-    settings."""
+    """Cut a clip and change its frame rate as the settings say."""
     clip = cut(clip, settings.start_s, settings.end_s)
     if settings.fps is not None:
         clip = resample(clip, settings.fps, skeleton)

@@ -131,7 +131,7 @@ class PoseSplines(Frames):
         return np.stack((values, slopes), axis=1)
 
     def states(self, at: Moments) -> MotionState:
-        """Return the states at n moments."""
+        """Return the states at n times in clips."""
         values, rates = self._on_splines(at)
         num_angles = len(self._angles)
         root_pos, angles, turns = values.split([3, num_angles, values.shape[1] - 3 - num_angles], 1)
@@ -157,7 +157,7 @@ class PoseSplines(Frames):
         )
 
     def body_pos(self, at: Moments) -> Tensor:
-        """Return the world positions (n, J, 3) m of all bodies at n moments."""
+        """Return the world positions (n, J, 3) m of all bodies at n times in clips."""
         return self._place_bodies(self._on_splines(at)[0])
 
     def _on_splines(self, at: Moments) -> tuple[Tensor, Tensor]:
@@ -243,7 +243,7 @@ class PublishedFrames(Frames):
         return np.concatenate([part.reshape(clip.num_frames, -1) for part in parts], axis=-1)
 
     def states(self, at: Moments) -> MotionState:
-        """Return the states at n moments."""
+        """Return the states at n times in clips."""
         frame = self._rows.index_select(0, at.row)
         next_frame = self._rows.index_select(0, at.next_row)
         num_rotations = 1 + len(self._turned)
@@ -272,7 +272,7 @@ class PublishedFrames(Frames):
         )
 
     def body_pos(self, at: Moments) -> Tensor:
-        """Return the world positions (n, J, 3) m of all bodies at n moments."""
+        """Return the world positions (n, J, 3) m of all bodies at n times in clips."""
         before, after = self._body_pos[at.row], self._body_pos[at.next_row]
         return torch.lerp(before, after, at.blend.view(-1, 1, 1))
 

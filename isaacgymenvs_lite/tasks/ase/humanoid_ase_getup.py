@@ -100,8 +100,7 @@ class HumanoidASEGetup(HumanoidASE):
         return super().compute_time_outs() & (self.recovery_steps_left == 0)
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Continue some fallen poses, put some characters on the ground, and start others in
-        clips."""
+        """Continue from falls, put some characters into fallen poses, and start others in clips."""
         cfg = self.env_cfg
         # A diverged simulation has no valid pose to continue from.
         lies_there = (self.done_buf == Done.FAILED) & ~self.simulation.failed
