@@ -65,8 +65,8 @@ class MotionClip:
         body_names: J names, root first.
         parent_indices: J body ids, -1 for the root; parents come before children.
         local_translation: (J, 3) m, origins of the bodies in their parents' frames; the root's row
-            is not used. The shape is (T, J, 3) if a joint is not at its body's origin and therefore
-            moves it.
+            is not used. The shape is (T, J, 3) if a joint is away from its body's origin and
+            therefore moves the origin.
         local_rotation: (T, J, 4), rotations of the bodies relative to their parents, and of the
             root relative to the world.
         root_translation: (T, 3) m, world position of the root.
@@ -207,7 +207,7 @@ class MotionClip:
     def drop_repeated_frames(self) -> MotionClip:
         """If every pose is stored twice, return the clip without the copies, at half the fps.
 
-        Stored velocities are kept, because they were smoothed over many frames and are correct.
+        Stored velocities are kept, because they are correct in spite of the copies.
         """
         first = self.find_repeated_frames()
         if first is None:

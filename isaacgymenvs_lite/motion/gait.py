@@ -76,7 +76,7 @@ class Leg:
     """A chain of hinges from the trunk to a foot."""
 
     foot: str  # name of the body
-    body: int  # its id
+    body: int  # id of the body
     joints: tuple[int, ...]  # ids of the hinges from the hip down, without followers
     # (3,) m, centre of the foot's lowest sphere, or the foot's lowest point, in the foot's frame
     sole: FloatArray

@@ -164,7 +164,7 @@ class PoseSplines(Frames):
         """Return values (n, columns) and their rates per second."""
         before, slope = self._rows.index_select(0, at.row).unbind(1)
         after, next_slope = self._rows.index_select(0, at.next_row).unbind(1)
-        # A clip has no next frame at its end.
+        # At the end of a clip there is no next frame.
         blend = torch.where(at.next_row == at.row, 0.0, at.blend).unsqueeze(1)
         s = blend.clamp(0.0, 1.0)
         # Hermite's form of the cubic between two frames, and its derivative.
@@ -194,12 +194,12 @@ class PoseSplines(Frames):
 class PublishedFrames(Frames):
     """The interpolation of the AMP and ASE motion libraries.
 
-    World positions are interpolated linearly and rotations by slerp. Positions and rotations are
-    extrapolated from the first two frames before the start of a clip. Velocities belong to the
-    frame at or before the time. The root has its stored velocities; joint velocities are
-    differences to the next frame.
+    World positions are interpolated linearly, and rotations by slerp. Before the start of a clip,
+    positions and rotations are extrapolated from the first two frames. Velocities are not
+    interpolated but taken from the frame before. The velocities of the root are stored, and joint
+    velocities are differences to the next frame.
 
-    Ball joints and hinges of the shipped humanoids are stored as rotations, as in the original.
+    As in AMP and ASE, ball joints and hinges of the shipped humanoids are stored as rotations.
     Hinges of other skeletons, or of clips with `dof_pos`, are stored as angles.
     """
 
@@ -281,5 +281,5 @@ FRAMES: dict[str, type[PoseSplines | PublishedFrames]] = {
     "spline": PoseSplines,
     "published": PublishedFrames,
 }
-"""The interpolations by their names in `task.env.clipInterpolation`."""
+"""Maps names in `task.env.clipInterpolation` to interpolations."""
 INTERPOLATIONS = tuple(FRAMES)

@@ -52,8 +52,8 @@ ROBOT_HINT = "a clip of a robot needs task=RobotAMP in training, robot=FILE in t
 RETARGET_HINT = "retarget it with isaacgymenvs-lite convert IN OUT.npz robot=FILE"
 # Files round offsets to 1e-4 m. A larger difference means that a clip belongs to another body.
 _OFFSET_TOLERANCE_M = 0.01
-# Rotations of a knee or elbow out of its axis are dropped. Above this angle (0.6 deg) it is
-# visible.
+# Rotations of knees and elbows out of their axes are dropped, which is visible above this angle
+# (0.6 deg).
 _HINGE_TOLERANCE_RAD = 0.01
 # Differences between joint coordinates and poses from interpolation are smaller than this.
 _DOF_TOLERANCE_RAD = 0.05
@@ -117,7 +117,7 @@ def load_clips(
             robots' joint coordinates (`formats.robot_clip`). A `.pkl` or `.npy` of a robot may
             contain several motions, which get equal weights. `FILE:MOTION` selects one of them.
         skeleton: the clips' skeleton, by default the humanoid with 28 degrees of freedom. The clips
-            get its order of bodies.
+            get the skeleton's order of bodies.
 
     Raises:
         MotionFileError: a file is missing or not valid, or belongs to another humanoid.
@@ -274,7 +274,7 @@ def _clips_of_joints(
 
 
 def _load_json(path: Path, skeletons: Sequence[Skeleton]) -> MotionClip:
-    """Read a `.txt` or `.json` clip of poselib, or of DeepMimic if it has the key 'Frames'."""
+    """Read a clip (`.txt` or `.json`) of DeepMimic, which has the key 'Frames', or of poselib."""
     data = read_json(path)
     if "Frames" in data or path.suffix == ".txt":
         return deepmimic.clip_from_deepmimic(data, _humanoid_of(skeletons, path), str(path))
@@ -428,8 +428,8 @@ def _warn_of_hinge_violation(clip: MotionClip, skeleton: Skeleton) -> None:
     if not groups:
         return
     hinges = [skeleton.dof_body_ids[group] for group in groups]
-    # The quaternion's vector has a component perpendicular to the axis. Its length is sin(angle /
-    # 2) for the angle between the axis and the rotated axis.
+    # The component of the quaternion's vector perpendicular to the axis has the length sin(angle /
+    # 2), with the angle between the axis and the rotated axis.
     off_axis = np.linalg.norm(np.cross(turns[:, hinges, :3], skeleton.joint_axes[groups]), axis=-1)
     frame, hinge = (int(i) for i in np.unravel_index(off_axis.argmax(), off_axis.shape))
     angle_rad = 2.0 * math.asin(min(float(off_axis[frame, hinge]), 1.0))

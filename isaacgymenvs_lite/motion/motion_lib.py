@@ -126,7 +126,7 @@ class MotionLib:
         return bodies_on_ground(self._clips, self.skeleton)
 
     def get_motion(self, motion_id: int) -> MotionClip:
-        """Return a clip, with its bodies in the order of the skeleton."""
+        """Return a clip, whose bodies are in the order of the skeleton."""
         return self._clips[motion_id]
 
     def motion_weights(self) -> Tensor:
@@ -171,8 +171,7 @@ class MotionLib:
 
     @functools.cached_property
     def _motion_bins(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Cumulative motion (B,) of bins, and the first bin (M,) and bin width (M,) s of each
-        clip."""
+        """Cumulative motion (B,) of bins, and first bins (M,) and bin widths (M,) s of clips."""
         cumulative, counts, widths_s = [], [], []
         for motion_id, length_s in enumerate(self._lengths_s.tolist()):
             count = max(1, round(length_s / _MOTION_BIN_S))

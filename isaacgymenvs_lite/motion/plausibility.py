@@ -32,11 +32,11 @@ from isaacgymenvs_lite.utils.rotations import rotate_components
 _log = logging.getLogger(__name__)
 
 GROUND_QUANTILE = 0.05
-"""Quantile of the frames' lowest points that is the ground's height in spite of outliers."""
+"""The ground's height is this quantile of the lowest points of all frames."""
 _DEEP_M, _HIGH_M = 0.03, 0.03
 _IN_AIR_M = 0.1  # in recorded walks, feet can be 8 cm above the ground
-# A body is in contact if its height is below the first share of the centre of mass' usual height (3
-# cm for a human) in at least the second share of the frames.
+# A body touches the ground if it is low in at least `_TOUCH_SHARE` of the frames. Low means below
+# `_TOUCH` times the usual height of the centre of mass (3 cm for a human).
 _TOUCH, _TOUCH_SHARE = 0.033, 0.02
 # A character rolls or lies if its centre of mass is below this share of the usual height.
 _LOW_MASS = 0.45
@@ -238,7 +238,7 @@ def _beyond_limits(clip: MotionClip, skeleton: Skeleton) -> str:
 
 
 def _ends_in_air(poses: _Poses) -> str:
-    """Describe a start or end in the air, or return an empty text, for example for cycles."""
+    """Describe a start or end in the air. The text is empty if there is none or in a cycle."""
     difference_m = np.linalg.norm(poses.body_pos[0] - poses.body_pos[-1], axis=-1)
     if difference_m.mean() < _CLOSED_M:
         return ""

@@ -239,7 +239,7 @@ def turned_by_joints(skeleton: Skeleton, local_rotation: FloatArray) -> Tensor:
 def _compose(skeleton: Skeleton, root_rotation: Tensor, joints: Tensor) -> Tensor:
     """Return local rotations (T, J, 4) for rotations of the root (T, 4) and the joints (T, G, 4).
 
-    The joints of a body rotate it one after the other from its rest rotation.
+    The joints of a body rotate the body one after another from its rest rotation.
     """
     turns = torch.from_numpy(skeleton.rest_rotation).repeat(len(joints), 1, 1)
     turned = set(_turned_at_rest(skeleton))

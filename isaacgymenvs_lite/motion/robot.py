@@ -36,7 +36,7 @@ class RobotCheckSettings:
 
 
 def check_robot(file: str, settings: RobotCheckSettings) -> None:
-    """Log what RobotAMP uses from a file and what it adds, and draw the start pose into `out`."""
+    """Log what RobotAMP uses from a robot's file and what it adds, and draw the start pose."""
     robot = load_clip_robot(file)
     for line in robot.prepared.describe():
         for part in textwrap.wrap(line, _COLUMNS, subsequent_indent="    "):

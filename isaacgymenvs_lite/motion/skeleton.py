@@ -99,7 +99,7 @@ class Skeleton:
 
     @functools.cached_property
     def has_offset_joints(self) -> bool:
-        """Whether a joint is not at its body's origin, so that the origin moves in its parent."""
+        """Whether a joint is away from its body's origin, so that its rotation moves the origin."""
         return bool(self.joint_anchors.any())
 
     @functools.cached_property

@@ -50,8 +50,8 @@ class AnymalConfig(VelocityTrackingConfig):
 def rotate_down(root_rot: Tensor) -> Tensor:
     """Rotate the vector (0, 0, -1) by quaternions (N, 4) xyzw, and return the results (3, N).
 
-    IsaacGymEnvs calls the result "projected gravity". For a small heading, it is the gravity in the
-    base frame with opposite signs of x and y.
+    IsaacGymEnvs calls the result "projected gravity". For a small heading, the result is the
+    gravity in the base frame with opposite signs of x and y.
     """
     x, y, z, w = root_rot.unbind(-1)
     return 2.0 * torch.stack((-(x * z + w * y), w * x - y * z, x * x + y * y - 0.5))

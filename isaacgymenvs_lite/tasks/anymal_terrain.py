@@ -16,9 +16,9 @@ rad/s. Vertical walls are slopes over 0.1 m, because the ground is a height fiel
 `env.controlFrequencyInv` multiplies the duration of a control step. In IsaacGymEnvs it instead adds
 simulator calls that keep the last torque and that the duration of a control step ignores.
 
-The PD controller is a drive of the model. Euler's method computes its torque from positions and
-velocities at the start of a simulator call. IsaacGymEnvs computes the same torque in Python before
-each call. The torque is limited to 80 Nm.
+The PD controller is a drive of the model. Euler's method computes the drive's torque from positions
+and velocities at the start of a simulator call. IsaacGymEnvs computes the same torque in Python
+before each call. The torque is limited to 80 Nm.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class AnymalTerrain(VelocityTrackingTask):
         terrain: the ground.
         curriculum: the tile of each robot.
         commands: (N, 4) velocities along x and y of the base (m/s), yaw rate (rad/s), and heading
-            (rad). The heading determines the yaw rate.
+            (rad). The yaw rate is computed from the heading.
     """
 
     settings_class = AnymalTerrainConfig
@@ -199,7 +199,7 @@ class AnymalTerrain(VelocityTrackingTask):
         )
         self._episode = {}
         if self.env_cfg.learn.push_robots and (self.control_steps + 1) % self.push_interval == 0:
-            # A push clears the contact forces, so they are read before it.
+            # A push clears the contact forces, so the forces are read before the push.
             velocities_w = uniform(self.reset_buf, -_PUSH_M_S, _PUSH_M_S, (2,))
             set_planar_velocities(sim, velocities_w)
         self._steer()

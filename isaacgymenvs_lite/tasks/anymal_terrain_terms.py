@@ -1,6 +1,6 @@
 """Settings, height scan, observations and rewards of AnymalTerrain, as in IsaacGymEnvs.
 
-The functions are pure. The last dimension of their tensors is the number N of robots: (3, N), (12,
+The functions are pure. The last dimension of all tensors is the number N of robots, for example (3,
 N).
 """
 
@@ -134,7 +134,7 @@ class HeightScan:
     def __call__(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
         """Return the ground heights (140, N) in m around robots at `root_pos` (N, 3) m.
 
-        Only z and w of `root_rot` (N, 4) xyzw are used; together they are a rotation about z.
+        Only the rotation about z that z and w of `root_rot` (N, 4) xyzw determine is used.
         """
         z, w = root_rot[:, 2], root_rot[:, 3]
         length = (z * z + w * w).clamp(min=1e-12)

@@ -1,7 +1,8 @@
 """BallBalance: a tray on three legs balances a ball that falls onto it, as in IsaacGymEnvs.
 
-The task keeps two quirks. The observation lists each torque component of all three sensors before
-the next component, and it contains only the x component of the forces.
+The task keeps two quirks from IsaacGymEnvs. The observation lists each torque component of all
+three sensors before the next component. Of the three force components, the observation contains
+only x.
 
 MuJoCo has no counterpart of Isaac Gym's force sensors. The three sensors instead measure the
 contact force on the tray and its torque about three points, in the tray's frame. The sensors

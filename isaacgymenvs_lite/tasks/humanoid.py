@@ -1,4 +1,4 @@
-"""Humanoid: a body of 21 hinges learns to run along +x, as in IsaacGymEnvs.
+"""Humanoid: a body with 21 hinges learns to run along +x, as in IsaacGymEnvs.
 
 The task keeps two quirks: `angle_to_target` is wrong (see `locomotion`), and the energy cost uses
 the scaled joint velocity. In MuJoCo, the body has no angular damping (0.01 1/s in IsaacGymEnvs) and

@@ -73,7 +73,7 @@ def travel_through(root_states: Tensor, num_phases: int, repeats: bool) -> Tenso
     headings = torch.complex(*heading_cos_sin(*root_states[:, 3:7].unbind(-1)))
     moves = (places[1:] - places[:-1]) * headings[:-1].conj()
     turns = headings[1:] * headings[:-1].conj()
-    # The step from the last phase to the first phase is the mean of its two neighbouring steps.
+    # The step from the last phase to the first phase is the mean of the two neighbouring steps.
     start = torch.ones_like(headings[:1])
     moves = torch.cat((moves, start * (moves[-1:].sum() + moves[:1].sum()) / 2.0))
     turns = torch.cat((turns, start))
@@ -112,8 +112,8 @@ class ClipPhases(Stateful):
             smaller.
         root_states: for each clip, the root's world position (m) and rotation (xyzw) at all phases,
             (S, >= 7).
-        travel_share: the distance that the root may lack in `COMPARED_S`, as a share of the clip's
-            distance; at least `limit_m` is allowed. 0 selects no limit.
+        travel_share: the distance that the root may lag behind the clip in `COMPARED_S`, as a share
+            of the clip's distance. A lag of `limit_m` is always allowed. 0 selects no limit.
         tempo_share: allowed difference between the tempos of episode and clip, as a share. 0
             selects no limit. Short episodes may be slower (see `min_tempo`).
         final_limit_m: largest allowed distance once episodes are long. None selects `limit_m`.
@@ -163,8 +163,7 @@ class ClipPhases(Stateful):
         self._trail = torch.zeros(num_places, num_envs, 2, device=device)
         self._passed = self._clip.new_zeros(steps if tempo_share > 0.0 else 0, num_envs)
         self._max_tempo = 1.0 + tempo_share
-        # An episode that starts at a random time in a clip and ends with it lasts half of it on
-        # average.
+        # An episode from a random time to the end of a clip lasts half the clip on average.
         half_s = 0.5 * max(len(clip) for clip in clips) * dt_s / PHASES_PER_STEP
         share = 1.0 if self.repeats.any() else min(1.0, half_s / _EASED_S[-1])
         first, last = (round(share * time_s / dt_s) for time_s in _EASED_S)
@@ -213,7 +212,7 @@ class ClipPhases(Stateful):
         )
 
     def start(self, env_ids: Tensor, clips: Tensor, times_s: Tensor) -> None:
-        """Start to compare environments (n,) with clips (n,) from times (n,) s on."""
+        """Start comparing environments (n,) with clips (n,) from times (n,) s on."""
         self._clip[env_ids] = clips
         self._phase[env_ids] = (times_s * self._phases_per_s).round().long()
         self.is_over[env_ids] = False
@@ -228,7 +227,7 @@ class ClipPhases(Stateful):
         self._num_followed[env_ids] = 0
 
     def stop(self, env_ids: Tensor) -> None:
-        """Stop to compare environments (n,) with clips."""
+        """Stop comparing environments (n,) with clips."""
         self._phase[env_ids] = _NONE
 
     def follows_any(self) -> bool:

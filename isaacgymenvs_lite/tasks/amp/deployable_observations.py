@@ -68,7 +68,7 @@ def noise_widths(noise: Mapping[str, float], num_dofs: int) -> Tensor:
 
 
 def add_noise(frame: Tensor, widths: Tensor) -> Tensor:
-    """Add uniform noise of half widths (F,) to frames (N, F), with gravity of unit length."""
+    """Add uniform noise of half widths (F,) to frames (N, F), and normalise the gravity vector."""
     noisy = torch.rand_like(frame).mul_(2.0).sub_(1.0).mul_(widths).add_(frame)
     noisy[:, _GRAVITY] = normalize(noisy[:, _GRAVITY])
     return noisy
@@ -100,7 +100,7 @@ class ActionDelay(Stateful):
 
 
 def push_newest(history: Tensor, newest: Tensor) -> None:
-    """Insert values (N, ...) before a history (N, H, ...) in place, and drop its last values."""
+    """Insert values (N, ...) into a history (N, H, ...), in place, and drop the oldest values."""
     for age in range(history.shape[1] - 1, 0, -1):
         history[:, age] = history[:, age - 1]
     history[:, 0] = newest

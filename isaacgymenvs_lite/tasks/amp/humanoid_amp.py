@@ -136,7 +136,7 @@ class HumanoidAMP(HumanoidAMPBase):
         size = (self.num_envs, self.num_amp_obs_steps, self._num_amp_obs_per_step)
         self._amp_obs_buf = torch.zeros(size, device=self.device)  # newest first
         self._phases: ClipPhases | None = None
-        # Marks characters (N,) that left their clips. None means that they are not compared.
+        # Marks characters (N,) that left their clips, or is None without a comparison.
         self._off_clip: Tensor | None = None
         # The phases of the clip whose end also ends episodes, or None.
         self._ending: ClipPhases | None = None
@@ -159,7 +159,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self.goal.attach(self.simulation, self.control_dt_s)
 
     def _end_with_clip(self, phases: ClipPhases) -> None:
-        """If there is one clip and it does not return to its start, let episodes end with it."""
+        """Let episodes end with the only clip, unless this clip returns to its start."""
         cfg = self.env_cfg
         starts_in_clip = cfg.state_init in ("Random", "Start")
         if not (cfg.end_with_clip and starts_in_clip and phases.repeats.tolist() == [False]):
@@ -374,7 +374,7 @@ class HumanoidAMP(HumanoidAMPBase):
         return TrackingDemo(*(rows.to(self.rl_device) for rows in (obs, actions, amp_obs)))
 
     def _observe_clip(self, states: CharacterState) -> Tensor | None:
-        """Return the character observations of clip states, or None if they depend on more."""
+        """Return observations of clip states, or None if these do not determine observations."""
         return self._amp_features(states)
 
     def windows_of_clips(self) -> list[Tensor]:

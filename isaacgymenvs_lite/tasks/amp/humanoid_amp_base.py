@@ -156,7 +156,7 @@ class HumanoidAMPBase(MjcfTask):
         return KEY_BODY_NAMES
 
     def contact_body_names(self) -> tuple[str, ...]:
-        """Return the bodies that may touch the floor in any clip."""
+        """Return the bodies that may touch the floor in every clip."""
         bodies: tuple[str, ...] | None = self.env_cfg.contact_bodies
         return FEET if bodies is None else bodies
 

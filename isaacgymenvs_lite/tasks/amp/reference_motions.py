@@ -47,8 +47,8 @@ class ReferenceMotions:
         """Return the states of motions (n,), `steps` (s,) control steps before times (n,) s.
 
         The result has root states (s * n, 13), DOF positions and velocities (s * n, D), and key
-        bodies (s * n, K, 3). It starts with all motions at the first step, and all motions at the
-        second step follow.
+        bodies (s * n, K, 3). In each tensor, all motions at the first step come first, then all
+        motions at the second step.
         """
         ids = motion_ids.repeat(len(steps))
         at_s = (times - self._dt_s * steps.unsqueeze(1)).flatten()

@@ -85,7 +85,7 @@ def copy_drives(source: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
 class HumanoidASE(HumanoidAMP):
     """HumanoidAMP with the conventions of the ASE release and with a goal.
 
-    It differs from HumanoidAMP in these points:
+    HumanoidASE differs from HumanoidAMP in these points:
 
     - The policy observes all bodies and the goal.
     - The AMP observation encodes hinges as rotations.

@@ -70,7 +70,7 @@ class HumanoidViewMotion(HumanoidASE):
         return self.progress_buf * self.control_dt_s > lengths
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Put the characters into their next clips, or for first episodes into their clips."""
+        """Start the next clip of each environment, or its first clip in a first episode."""
         is_over = self.progress_buf.index_select(0, env_ids) > 0
         clips = self._motion_ids.index_select(0, env_ids) + is_over * self.num_envs
         self._motion_ids.index_copy_(0, env_ids, clips % self.motion_lib.num_motions())

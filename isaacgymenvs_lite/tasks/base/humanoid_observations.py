@@ -76,9 +76,9 @@ def dof_to_obs(
     """Encode joint positions for the observation, in joint order.
 
     IsaacGymEnvs encodes a 3-DoF joint by the tangent and normal of its rotation (6 values), and a
-    hinge by its angle. It treats a rotation vector longer than pi as the identity. ASE accepts
-    rotation vectors of any length. ASE encodes hinges by tangent and normal, too, and treats every
-    hinge axis as y.
+    hinge by its angle. IsaacGymEnvs treats a rotation vector longer than pi as the identity. ASE
+    accepts rotation vectors of any length. ASE encodes hinges by tangent and normal, too, and
+    treats every hinge axis as y.
 
     Args:
         dof_pos: (N, D) rad.
@@ -247,7 +247,7 @@ def pd_action_offset_scale(
 
     The targets of a hinge extend from the middle of its range by 0.7 times the range to either
     side. A 3-DoF joint has the offset 0. The scale of a 3-DoF joint is pi in IsaacGymEnvs. In ASE
-    it is 1.2 times the joint's largest limit, but at most pi.
+    the scale is 1.2 times the joint's largest limit, but at most pi.
 
     The limits (D,) in rad are swapped where lower > upper. `dof_to_obs` describes `dof_offsets`.
     """

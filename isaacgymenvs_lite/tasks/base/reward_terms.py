@@ -9,7 +9,7 @@ Terms = dict[str, Tensor]
 
 
 def replace_where(terms: Terms, where: Tensor, name: str, value: float) -> Terms:
-    """Where `where` (N,) is True, replace all terms by a term called `name` with this value."""
+    """Replace all terms by one term `name` with this value in the environments `where` (N,)."""
     kept = torch.stack(tuple(terms.values())).masked_fill_(where, 0.0)
     return {**dict(zip(terms, kept, strict=True)), name: where * value}
 

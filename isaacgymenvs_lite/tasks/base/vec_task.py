@@ -486,7 +486,7 @@ class VecTask(Env):
         self.rew_buf.copy_(reward)
 
     def compute_reset(self) -> None:
-        """Write which episodes end and why they end."""
+        """Write into the buffers which episodes end and why."""
         self.done_buf.copy_(self.compute_time_outs())
         self.done_buf.masked_fill_(self.compute_failures(), Done.FAILED)
         if self._discarded is not None:

@@ -1,7 +1,7 @@
 """Common parts of Anymal and AnymalTerrain: a legged robot follows commanded velocities.
 
-The formulas are those of IsaacGymEnvs. The last dimension of tensors is the number N of
-environments: (3, N), (D, N).
+The formulas are those of IsaacGymEnvs. The last dimension of all tensors is the number N of
+environments, for example (3, N).
 """
 
 from __future__ import annotations
@@ -202,7 +202,7 @@ class VelocityTrackingTask(MjcfTask):
         return self.env_cfg.plane.dynamic_friction
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
-        """Set the drive gains of the configuration."""
+        """Set the drive gains from the configuration."""
         control = self.env_cfg.control
         for actuator in spec.actuators:
             actuator.set_to_position(kp=control.stiffness, kv=control.damping)

@@ -54,10 +54,10 @@ def compute_heading_reward(
 ) -> Tensor:
     """Return the reward (n,) in [0, 1] of moving with the target velocity and facing the target.
 
-    As in ASE, the lateral error is the sum of the components of the lateral velocity, although its
-    length was probably meant. Positions (n, 3) before and after the control step are in m, and
-    `root_rot` (n, 4) is xyzw. `tar_speed` (n,) is in m/s, directions are unit vectors (n, 2), and
-    `dt` is in s.
+    As in ASE, the lateral error is the sum of the components of the lateral velocity, although the
+    length of this vector was probably intended. Positions (n, 3) before and after the control step
+    are in m, and `root_rot` (n, 4) is xyzw. `tar_speed` (n,) is in m/s, directions are unit vectors
+    (n, 2), and `dt` is in s.
     """
     velocity = planar_velocity(root_pos, prev_root_pos, dt)
     along = (tar_dir * velocity).sum(-1)

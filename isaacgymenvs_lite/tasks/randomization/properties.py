@@ -111,7 +111,7 @@ class Friction(Property):
 class Gain(Property):
     """Stiffness (column 1) or damping (column 2) of the drives or joints of degrees of freedom.
 
-    A ball joint without a drive for each axis is left out, because its spring has no axes.
+    A ball joint without a drive for each axis is left out, because a spring acts on all axes.
     """
 
     def __init__(self, simulation: SimulationBackend, layout: ModelLayout, column: int) -> None:

@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 
 def draw(settings: AttributeSettings, frame: int, shape: tuple[int, ...]) -> Tensor:
-    """Return random float64 values of `shape`, to be added to values or multiplied with them.
+    """Draw random float64 values of `shape` that are to be added to or multiplied with values.
 
     `frame` is the number of simulator calls so far, on which the schedule depends.
     """
