@@ -108,8 +108,7 @@ class ClipPhases(Stateful):
         num_envs: N.
         dt_s: duration of a control step.
         limit_m: largest allowed distance from the clip while episodes are short (see
-            `current_limit_m`). A clip repeats if the distance between its end and its start is
-            smaller.
+            `current_limit_m`). A clip repeats if its end is closer than `limit_m` to its start.
         root_states: for each clip, the root's world position (m) and rotation (xyzw) at all phases,
             (S, >= 7).
         travel_share: the distance that the root may lag behind the clip in `COMPARED_S`, as a share

@@ -245,7 +245,7 @@ class ClipStarts(Stateful):
 
     @torch.inference_mode()
     def _draw(self, n: int) -> tuple[Tensor, ...]:
-        """Draw clips (n,) and times (n,) s, and return them after the tensors of `next`."""
+        """Draw starts, and return the tensors of `next`, the clips (n,) and the times (n,) s."""
         motions = self._motions
         motion_ids, times = self._draw_moments(n)
         states = motions.states(motion_ids, times, self._steps)

@@ -235,7 +235,7 @@ class VecTask(Env):
         control_dt_s: nominal time of a control step (s).
         dt: the attribute of this name in IsaacGymEnvs (s). In AnymalTerrain and in the AMP and ASE
             humanoids it equals `control_dt_s`, in other tasks `sim_dt_s`. This project's tasks do
-            not read it.
+            not read `dt`.
         is_training: whether an agent is learning from the task. During training, a task may end
             episodes early.
         keeps_final_observations: whether AnymalTerrain computes `final_observations`.
@@ -621,7 +621,7 @@ class VecTask(Env):
 
     @property
     def is_watched(self) -> bool:
-        """Whether a viewer is open, which plays on after the last episode."""
+        """Whether an open viewer keeps playing after the last episode."""
         return any(getattr(listener, "keeps_playing", False) for listener in self.listeners)
 
     def close(self) -> None:

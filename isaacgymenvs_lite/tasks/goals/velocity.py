@@ -173,7 +173,7 @@ class Velocity(TimedGoal):
         self.commands.index_copy_(0, env_ids[follows], commands[follows])
 
     def on_key(self, key: str) -> None:
-        """Change the first environment's command by a key (see `key_help`) and give it to all.
+        """Change the first environment's command by a key, and give all environments this command.
 
         A command stays within the ranges. The command to stop is allowed if standing is trained.
         """

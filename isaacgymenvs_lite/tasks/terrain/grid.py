@@ -335,7 +335,7 @@ class Curriculum(Stateful):
         self.types = torch.randint(num_types, (num_envs,), device=device)
 
     def origins(self, env_ids: Tensor) -> Tensor:
-        """Return the middles (n, 3) of the tiles of environments (n,) (m)."""
+        """Return the middles (n, 3) m of the tiles of environments (n,)."""
         return self._origins[self.levels[env_ids], self.types[env_ids]]
 
     def update(
