@@ -39,9 +39,9 @@ class Goal(Stateful):
     Attributes:
         settings: the goal's keys, an object of `settings_class`.
         num_task_obs: dimension of the goal's observation, which is 0 if `enableTaskObs` is False.
-            simulation: the backend, set by `attach`.
-            dt_s: duration of a control step (s).
-            prev_root_pos_w: (N, 3) m, positions of the characters before the last control step.
+        simulation: the backend, set by `attach`.
+        dt_s: duration of a control step (s).
+        prev_root_pos_w: (N, 3) m, positions of the characters before the last control step.
 
     Raises:
         ConfigError: a value is invalid.
