@@ -122,6 +122,6 @@ class HumanoidASEGetup(HumanoidASE):
         self.recovery_steps_left.index_fill_(0, down, cfg.recovery_steps)
 
     def _start_histories(self, env_ids: Tensor) -> None:
-        """Start new histories, except those of characters that stay in their poses."""
+        """Start new histories, except for characters that stay in their poses."""
         starts_new = ~torch.isin(env_ids, self._going_on_ids)
         super()._start_histories(env_ids[starts_new])

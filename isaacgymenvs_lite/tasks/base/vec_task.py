@@ -463,7 +463,7 @@ class VecTask(Env):
         self.compute_reset()
 
     def compute_observations(self, env_ids: Tensor | None = None) -> None:
-        """Write the first observations of `env_ids` (n,) into `obs_buf`. None selects all."""
+        """Write all observations, or first observations of `env_ids` (n,), into `obs_buf`."""
         if env_ids is None:
             observations = self.compute_obs()
             if self.num_states > 0:

@@ -28,7 +28,7 @@ VERTICAL_M = 0.005
 Samples = npt.NDArray[np.int16]
 Size = tuple[int, int]
 
-_OBSTACLE_GRID = 4  # obstacle corners lie on every fourth sample
+_OBSTACLE_GRID = 4  # positions and sides of obstacles vary by this number of samples
 _HOLE_DEPTH_M = 10.0
 _PLATFORM_M = 3.0
 _STEP_WIDTH_M = 0.31
