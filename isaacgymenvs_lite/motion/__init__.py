@@ -1,1 +1,1 @@
-"""Motion clips: files -> arrays -> states at a time (see docs/motion_formats.md)."""
+"""Reads motion clips, and computes states at any time (see docs/motion_formats.md)."""

@@ -1,6 +1,7 @@
-"""Motion clips with a constant frame rate: `MotionClip` holds bodies, `JointClip` a robot's joints.
+"""Motion clips with a constant frame rate. `MotionClip` holds body poses, `JointClip` joints.
 
-A robot's clip file becomes a `JointClip`, then a `MotionClip` by the robot's kinematics.
+A robot's clip file is read into a `JointClip`. The robot's kinematics converts this `JointClip`
+into a `MotionClip`.
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ _log = logging.getLogger(__name__)
 
 MIN_FPS, _MAX_FPS = 0.1, 10_000.0
 MAX_PLACE_M = 10_000.0
-"""Largest coordinate; larger ones have steps of 1 mm in single precision."""
+"""Largest coordinate (m). In single precision, larger coordinates have steps of 1 mm."""
 _MAX_BONE_M = 10.0
 _MAX_SPEED_M_S = 1_000.0
 _MAX_SPEED_RAD_S = 100_000.0
-MAX_JOINT_RAD = 1_000.0  # 160 turns of a wheel's hinge
-_UNIT_TOLERANCE = 1e-3  # of a stored quaternion's length
-# Fewer repeated pairs of frames are a character at rest.
+MAX_JOINT_RAD = 1_000.0  # 160 rotations of a wheel's hinge
+_UNIT_TOLERANCE = 1e-3  # largest error of a stored quaternion's length
+# A clip with fewer repeated pairs of frames counts as a character at rest.
 _MIN_REPEATED_PAIRS = 2
-# Array -> largest absolute value, unit.
+# Maps the name of an array to its largest absolute value and its unit.
 _LIMITS = {
     "root_translation": (MAX_PLACE_M, "m"),
     "local_translation": (_MAX_BONE_M, "m"),
@@ -42,10 +43,10 @@ _LIMITS = {
 }
 QuatOrder = Literal["xyzw", "wxyz"]
 QUAT_ORDERS: tuple[QuatOrder, ...] = ("xyzw", "wxyz")
-# `oddities` reports larger values; G1's fastest joints reach 37 rad/s.
+# `oddities` reports larger values. The fastest joints of the robot G1 reach 37 rad/s.
 _ODD_JOINT_SPEED_RAD_S, _ODD_ROOT_SPEED_M_S = 60.0, 15.0
 _ODD_JOINT_RAD, _ODD_HEIGHT_M = 10.0, 20.0
-# Angles this far beyond a joint's limits are not in radians.
+# Angles that exceed a joint's limits by this much are not in radians.
 _MAX_EXCESS_RAD = 2.0 * np.pi
 # A root is upright if its upward axis is within 60 degrees of the world's z.
 _UPRIGHT_COSINE = 0.5
@@ -56,22 +57,24 @@ _SUFFIX = re.compile(r"(_joint|_dof)+$")
 
 @dataclass(frozen=True, eq=False)
 class MotionClip:
-    """T >= 2 frames of a skeleton with J bodies; z up, quaternions xyzw, arrays of floats.
+    """T >= 2 frames of a skeleton with J bodies. z is up, and quaternions are xyzw.
 
     Attributes:
         name: the path of the clip, or `deepmimic:<name>`.
         fps: frames per second.
         body_names: J names, root first.
         parent_indices: J body ids, -1 for the root; parents come before children.
-        local_translation: (J, 3) m, origin of a body in its parent's frame; the root's row is not
-            used. (T, J, 3) if joints that are not at the origins of their bodies move them.
-        local_rotation: (T, J, 4), rotation of a body relative to its parent (root: to the world).
+        local_translation: (J, 3) m, origins of the bodies in their parents' frames; the root's row
+            is not used. The shape is (T, J, 3) if a joint is away from its body's origin and
+            therefore moves the origin.
+        local_rotation: (T, J, 4), rotations of the bodies relative to their parents, and of the
+            root relative to the world.
         root_translation: (T, 3) m, world position of the root.
         linear_velocity_w: (T, J, 3) m/s, world velocities of the bodies' origins.
         angular_velocity_w: (T, J, 3) rad/s, in the world frame.
         dof_pos: (T, D) rad, joint coordinates in the `Skeleton`'s order: rotation vectors of ball
-            joints and angles of hinges. None if the bodies' rotations determine them: each body
-            then has one joint, and hinge angles are within pi.
+            joints and angles of hinges. The value is None if the bodies' rotations determine the
+            joint coordinates, which requires one joint per body and hinge angles within pi.
     """
 
     name: str
@@ -97,7 +100,7 @@ class MotionClip:
 
     @property
     def length_s(self) -> float:
-        """The duration from the first to the last frame, (T - 1) / fps, in s."""
+        """The duration (T - 1) / fps in s from the first to the last frame."""
         return (self.num_frames - 1) / self.fps
 
     @classmethod
@@ -112,9 +115,9 @@ class MotionClip:
         root_translation: FloatArray,
         dof_pos: FloatArray | None = None,
     ) -> MotionClip:
-        """Make a clip from poses; velocities are differences, smoothed like poselib's.
+        """Make a clip from poses, whose smoothed differences are the velocities, as in poselib.
 
-        The arguments are attributes of the class. Errors: see `validate`.
+        The arguments are attributes of the class. `validate` describes the errors.
         """
         still = np.zeros((*np.shape(local_rotation)[:2], 3))
         clip = cls(
@@ -140,14 +143,14 @@ class MotionClip:
         return clip
 
     def timed_arrays(self) -> dict[str, FloatArray]:
-        """Return the arrays with one row per frame, by attribute name."""
+        """Return the arrays that have one row per frame, as a mapping of attribute names."""
         keys = ["local_rotation", "root_translation", "linear_velocity_w", "angular_velocity_w"]
         keys += ["local_translation"] if np.ndim(self.local_translation) == 3 else []
         keys += ["dof_pos"] if self.dof_pos is not None else []
         return {key: np.asarray(getattr(self, key)) for key in keys}
 
     def global_poses(self) -> tuple[FloatArray, FloatArray]:
-        """Return the world positions (T, J, 3) m and rotations (T, J, 4) of all bodies, float64."""
+        """Return world positions (T, J, 3) m and rotations (T, J, 4) of all bodies in float64."""
         return kinematics.forward_kinematics(
             self.parent_indices, self.local_translation, self.local_rotation, self.root_translation
         )
@@ -155,8 +158,9 @@ class MotionClip:
     def validate(self) -> None:
         """Raise a MotionFileError for a clip that cannot be used.
 
-        The checks concern shapes, the tree, the number of frames (at least 2), NaN and infinity,
-        the lengths of quaternions (1 within 1e-3), and the ranges of fps, lengths and speeds.
+        The checks concern shapes, the tree of bodies, the number of frames (at least 2), NaN and
+        infinity, the lengths of quaternions (1 within 1e-3), and the ranges of fps, lengths and
+        speeds.
         """
         frames, bodies = len(np.atleast_1d(self.local_rotation)), self.num_bodies
         moving = (frames,) * (np.ndim(self.local_translation) == 3)
@@ -186,9 +190,9 @@ class MotionClip:
             )
 
     def find_repeated_frames(self) -> int | None:
-        """Return the first frame, 0 or 1, that equals the next frame if every pose is stored twice.
+        """Return the first frame (0 or 1) that equals the next one if every pose is stored twice.
 
-        Return None if poses are not stored twice.
+        If poses are not stored twice, return None.
         """
         same = (self.local_rotation[1:] == self.local_rotation[:-1]).all(axis=(1, 2))
         same &= (self.root_translation[1:] == self.root_translation[:-1]).all(axis=1)
@@ -201,9 +205,9 @@ class MotionClip:
         return None
 
     def drop_repeated_frames(self) -> MotionClip:
-        """Return the clip at half the fps, without copies, if every pose is stored twice.
+        """If every pose is stored twice, return the clip without the copies, at half the fps.
 
-        Stored velocities are kept: they were smoothed over many frames and are correct.
+        Stored velocities are kept, because they are correct in spite of the copies.
         """
         first = self.find_repeated_frames()
         if first is None:
@@ -264,7 +268,7 @@ def _check_fps_and_finite(clip: MotionClip | JointClip, keys: Iterable[str]) -> 
 
 
 def _not_unit(quaternions: FloatArray) -> tuple[tuple[int, ...], str] | None:
-    """Return the index of the quaternion farthest from unit length and its error, or None."""
+    """Return the index and error of the quaternion that is farthest from unit length, or None."""
     deviation = np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0)
     if deviation.max() <= _UNIT_TOLERANCE:
         return None
@@ -284,15 +288,15 @@ def _check_size(name: str, key: str, largest: float, limit: float, unit: str) ->
 
 @dataclass(frozen=True, eq=False)
 class JointClip:
-    """T >= 2 frames of a robot with D joint coordinates; z up, quaternions xyzw."""
+    """T >= 2 frames of a robot with D joint coordinates. z is up, and quaternions are xyzw."""
 
     name: str  # the path of the clip
     fps: float  # frames per second
     root_pos: FloatArray  # (T, 3) m, world position of the root body
-    root_rot: FloatArray  # (T, 4) xyzw, rotation of the root body to the world
+    root_rot: FloatArray  # (T, 4) xyzw, rotation of the root body relative to the world
     dof_pos: FloatArray  # (T, D) rad, angles of hinges, and rotation vectors of ball joints
-    joint_names: tuple[str, ...] | None = None  # D names; None if the file has none
-    # The order in which the file's quaternions were read; None if it has no quaternions.
+    joint_names: tuple[str, ...] | None = None  # D names, or None if the file has no names
+    # The order in which the file's quaternions were read, or None if it has no quaternions.
     file_quat_order: QuatOrder | None = "xyzw"
 
     @property
@@ -306,7 +310,7 @@ class JointClip:
         return int(np.shape(self.dof_pos)[1])
 
     def validate(self) -> None:
-        """Raise a MotionFileError for a clip that cannot be used, see `MotionClip.validate`."""
+        """Raise a MotionFileError for a clip that cannot be used (see `MotionClip.validate`)."""
         if np.ndim(self.dof_pos) != 2 or self.num_frames < 2 or self.num_dofs < 1:
             raise MotionFileError(
                 f"{self.name}: dof_pos has shape {np.shape(self.dof_pos)}, expected (frames, "
@@ -340,7 +344,7 @@ class JointClip:
         return np.abs(np.diff(self.dof_pos.astype(np.float64), axis=0)) * self.fps
 
     def oddities(self, up_b: Sequence[float] = UP) -> list[str]:
-        """Return a line for each sign of a wrong unit, frame rate or quaternion order.
+        """Return a text for each hint at a wrong unit, frame rate or quaternion order.
 
         `up_b` (3,) is the upward direction in the frame of an upright root.
         """
@@ -373,7 +377,7 @@ class JointClip:
         return self.joint_names[joint] if self.joint_names else f"joint {joint}"
 
     def reread(self, quat_order: QuatOrder) -> JointClip:
-        """Return the clip with the quaternions of its file read in this order.
+        """Return the clip with its quaternions reordered as if the file had the order `quat_order`.
 
         Raises MotionFileError if the file has no quaternions.
         """
@@ -394,10 +398,11 @@ class JointClip:
     ) -> JointClip:
         """Return the clip with the joints of a robot in the robot's order.
 
-        Joints are matched by name, without the endings `_joint` and `_dof`, or by their order if
-        the file has no names or `by_order` is True. Hand joints may differ: extra ones are dropped,
-        missing ones stay at 0 rad. Missing `followers`, whose angles follow from other joints, are
-        NaN. Raises MotionFileError for other missing or extra joints.
+        Joints are matched by their names without the endings `_joint` and `_dof`. If the file has
+        no names or `by_order` is True, joints are matched by their order. Hand joints that only the
+        file has are dropped, and hand joints that only the robot has stay at 0 rad. Missing
+        `followers`, whose angles other joints determine, are NaN. Raises MotionFileError for other
+        missing or extra joints.
         """
         names = tuple(joint_names)
         if self.joint_names is None or by_order:
@@ -434,10 +439,11 @@ class JointClip:
     def check_limits(self, dof_limits: FloatArray) -> None:
         """Raise a MotionFileError if joints exceed the limits (D, 2) rad by more than 2 pi.
 
-        The unit is then wrong; `plausibility` reports smaller excesses.
+        Such an excess means that the unit is wrong. The module `plausibility` reports smaller
+        excesses.
         """
         excess_rad = np.maximum(dof_limits[:, 0] - self.dof_pos, self.dof_pos - dof_limits[:, 1])
-        of_joints_rad = np.fmax.reduce(excess_rad)  # ignores the NaN of `fitted_to`
+        of_joints_rad = np.fmax.reduce(excess_rad)  # ignores NaN from `fitted_to`
         joint = int(np.nanargmax(of_joints_rad))
         worst_rad = float(of_joints_rad[joint])
         if worst_rad <= _MAX_EXCESS_RAD:
@@ -450,7 +456,7 @@ class JointClip:
 
 
 def _upright_share(root_rot: FloatArray, up_b: Sequence[float]) -> float:
-    """Return the share of rotations (T, 4) that rotate `up_b` (3,) to within 60 degrees of z."""
+    """Return the share of rotations (T, 4) that leave `up_b` (3,) within 60 degrees of z."""
     turns = torch.from_numpy(np.ascontiguousarray(root_rot, dtype=np.float64))
     up = torch.tensor(up_b, dtype=torch.float64).expand(len(turns), 3)
     up_w = rotations.quat_apply(turns, up)
@@ -458,7 +464,7 @@ def _upright_share(root_rot: FloatArray, up_b: Sequence[float]) -> float:
 
 
 def _comparable(names: Sequence[str], others: Sequence[str]) -> list[str]:
-    """Return the names without endings, or unchanged if this makes two names equal."""
+    """Return the names without endings, or unchanged names if two would become equal."""
     short = [_SUFFIX.sub("", name) for name in names]
     other_short = {_SUFFIX.sub("", name) for name in others}
     unique = len(set(short)) == len(names) and len(other_short) == len(others)

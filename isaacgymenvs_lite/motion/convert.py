@@ -5,9 +5,9 @@
     isaacgymenvs-lite convert dance.bvh dance.npz mapping=lafan1
     isaacgymenvs-lite convert walk g1_walk.npz robot=mjcf/g1.xml
 
-IN is a clip that task.env.motion_file accepts (no data set), or a .bvh file; FILE.pkl:NAME selects
+IN is a .bvh file, or a clip that task.env.motion_file accepts (no data set). FILE.pkl:NAME selects
 a motion of a file. The suffix of OUT determines its format: .npz (this project's), .npy (poselib),
-.txt or .json (DeepMimic), .csv (joint angles); for a robot .npz or .csv. Keys:
+.txt or .json (DeepMimic), .csv (joint angles). A robot's clip needs .npz or .csv. Keys:
 
     fps=30              frames per second of OUT (default: the rate of IN)
     start_s=0 end_s=5   the part of IN to keep, in seconds
@@ -71,12 +71,12 @@ _log = logging.getLogger(__name__)
 
 
 def joints_of_clip(clip: MotionClip, skeleton: Skeleton) -> JointClip:
-    """Return the joint coordinates of a robot's clip, with joint names."""
+    """Return the joint coordinates and joint names of a robot's clip."""
     root_rot, dofs = clip.local_rotation[:, 0], dofs_of_clip(skeleton, clip)
     return JointClip(clip.name, clip.fps, clip.root_translation, root_rot, dofs, skeleton.dof_names)
 
 
-# Suffix -> function that writes a clip, and the data that the format lacks.
+# Maps a suffix to the function that writes a clip and to the data that the format lacks.
 _Formats = dict[str, tuple[Callable[[Path, MotionClip, Skeleton], object], str]]
 _VELOCITIES = "velocities (they are computed again from the poses)"
 _POSES_ONLY = f"{_VELOCITIES} and limb lengths"
@@ -109,7 +109,7 @@ _ROBOT_FORMATS: _Formats = {
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertSettings:
-    """Keys of the command; the module docstring describes them."""
+    """Keys of the command, which the module docstring describes."""
 
     fps: float | None = setting(None, above=0)
     start_s: float = setting(0.0, minimum=0)
@@ -125,7 +125,7 @@ class ConvertSettings:
 
 
 def convert(source: str, out: str, settings: ConvertSettings) -> Path:
-    """Convert one clip and return the path of the output; an error leaves no partial output."""
+    """Convert one clip, and return the path of the output. An error leaves no partial output."""
     path = Path(out)
     formats = _ROBOT_FORMATS if settings.robot else _FORMATS
     check_output(path, formats, settings.overwrite)
@@ -148,7 +148,7 @@ def convert(source: str, out: str, settings: ConvertSettings) -> Path:
 
 
 def _clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]:
-    """Read a clip of a humanoid, or retarget a BVH file to one."""
+    """Read a clip of a humanoid, or retarget a BVH file to a humanoid."""
     if _joint_file(settings) != JointFileSettings():
         raise ConfigError("file_fps=, quat_order= and by_order= need robot=, the file of a robot")
     if Path(source).suffix.lower() == ".bvh":
@@ -166,7 +166,7 @@ def _clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]
 def _part(
     clip: MotionClip, skeleton: Skeleton, settings: ConvertSettings
 ) -> tuple[MotionClip, Skeleton]:
-    """Return the part of a clip between the settings' times, at their frame rate."""
+    """Cut a clip and change its frame rate as the settings say."""
     clip = cut(clip, settings.start_s, settings.end_s)
     if settings.fps is not None:
         clip = resample(clip, settings.fps, skeleton)
@@ -174,7 +174,7 @@ def _part(
 
 
 def _robots_clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]:
-    """Read a clip of a robot, or retarget a humanoid's or a BVH file to it."""
+    """Read a clip of a robot, or retarget a humanoid's clip or a BVH file to the robot."""
     if settings.num_dofs is not None:
         raise ConfigError(
             f"num_dofs={settings.num_dofs} selects a humanoid and robot={settings.robot} a robot; "

@@ -22,7 +22,7 @@ _TIME_ROUNDING_S = 1e-6
 def cut(clip: MotionClip, start_s: float = 0.0, end_s: float | None = None) -> MotionClip:
     """Return the frames between the times `start_s` and `end_s`, both rounded to a frame.
 
-    Raises MotionFileError if the times are not in the clip, or fewer than two frames remain.
+    Raises MotionFileError if the times are not in the clip or if fewer than two frames remain.
     """
     end_s = clip.length_s if end_s is None else end_s
     if not 0.0 <= start_s < end_s <= clip.length_s + _TIME_ROUNDING_S:
@@ -44,8 +44,8 @@ def cut(clip: MotionClip, start_s: float = 0.0, end_s: float | None = None) -> M
 def resample(clip: MotionClip, fps: float, skeleton: Skeleton | None = None) -> MotionClip:
     """Return the clip at another frame rate by interpolating poses and velocities.
 
-    The first frame is kept. Joint coordinates determine the poses if the clip has them; this needs
-    the skeleton. Raises MotionFileError if fewer than two frames remain.
+    The first frame is kept. If the clip has joint coordinates, they determine the poses, and
+    `skeleton` is required. Raises MotionFileError if fewer than two frames remain.
     """
     num_frames = int(clip.length_s * fps + _TIME_ROUNDING_S) + 1
     if num_frames < 2:
@@ -78,10 +78,10 @@ def resample(clip: MotionClip, fps: float, skeleton: Skeleton | None = None) -> 
 
 
 def interpolate_rotations(start: FloatArray, end: FloatArray, share: FloatArray) -> FloatArray:
-    """Return rotations (..., 4) xyzw at `share` (...) of the shorter way from start to end.
+    """Return rotations (..., 4) xyzw at `share` (...) of the shortest rotation from start to end.
 
-    The result is exact for nearly equal rotations; `rotations.slerp` has the arithmetic of the
-    original motion library.
+    The result is exact even for nearly equal rotations. In contrast, `rotations.slerp` repeats the
+    arithmetic of the original motion library.
     """
     a, b = (torch.from_numpy(np.asarray(turn, dtype=np.float64)) for turn in (start, end))
     way = rotations.quat_log(rotations.quat_mul(rotations.quat_conjugate(a), b))
@@ -92,7 +92,7 @@ def interpolate_rotations(start: FloatArray, end: FloatArray, share: FloatArray)
 def _blend_dofs(
     dofs: FloatArray, skeleton: Skeleton, before: npt.NDArray[np.integer], share: FloatArray
 ) -> FloatArray:
-    """Return interpolated DOFs (T, D): linear for hinges, the shorter way for ball joints."""
+    """Interpolate DOFs (T, D) linearly for hinges, and along shortest rotations for ball joints."""
     blended = _blend(np.asarray(dofs, dtype=np.float64), before, share)
     turns = joint_rotations(skeleton, dofs).numpy()
     turns = interpolate_rotations(turns[before], turns[before + 1], share[:, None])
@@ -104,7 +104,7 @@ def _blend_dofs(
 
 
 def _blend(values: FloatArray, before: npt.NDArray[np.integer], share: FloatArray) -> FloatArray:
-    """Return values (T, ...) interpolated between the rows `before` and the next rows."""
+    """Interpolate values (T, ...) between the rows `before` and their next rows."""
     share = share.reshape(-1, *[1] * (values.ndim - 1))
     blended = values[before] * (1.0 - share) + values[before + 1] * share
     return blended.astype(values.dtype)

@@ -4,7 +4,7 @@
     isaacgymenvs-lite gait a1.urdf walk.npz gait=walk speed=0.4 frequency=1.2
 
 ROBOT is an MJCF or URDF of a quadruped that looks along x. OUT is a clip of its joint coordinates
-(.npz) for task=RobotAMP. The trunk moves at constant speed; feet in stance do not move. Keys:
+(.npz) for task=RobotAMP. The trunk moves at constant speed, and feet in stance do not move. Keys:
 
     gait=trot           trot (diagonal pairs), walk (one foot after the other), pace (left, right)
     speed=1             m/s; a negative speed goes backwards
@@ -59,16 +59,16 @@ _LEAST_HINGES = 3  # a foot needs three hinges to reach every nearby point
 _MOST_HINGES = 6  # the search for the first pose tries three angles per hinge
 KNEES = ("behind", "ahead", "inward")
 TOLERANCE_M = 1e-6
-"""Largest distance of a foot from its target."""
+"""Largest allowed distance (m) of a foot from its target."""
 _ITERATIONS = 100
-_DAMPING = 1e-6  # m^2/rad^2; keeps steps of straight legs finite
+_DAMPING = 1e-6  # m^2/rad^2; keeps the solver's steps for straight legs finite
 _LONGEST_STEP_RAD = 0.3
-_PULL = 0.1  # share of the way back to the posture per step, for legs with redundant hinges
-# The search for the first pose begins with these angles of each joint from the start pose.
+_PULL = 0.1  # redundant hinges return by this share towards the first pose in a solver step
+# The search for the first pose tries these angles of each joint relative to the start pose.
 _FIRST_BENDS_RAD = (-1.0, 0.0, 1.0)
-# Solutions with the same distance to the start pose, rounded to this step, differ by their knees.
+# Distances of solutions from the start pose are rounded to this step. Knees decide between equals.
 _ALIKE_RAD = 0.2
-_LOWEST_M = 1e-4  # tolerance of a foot's lowest points
+_LOWEST_M = 1e-4  # height tolerance among a foot's lowest points
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,23 +76,23 @@ class Leg:
     """A chain of hinges from the trunk to a foot."""
 
     foot: str  # name of the body
-    body: int  # its id
-    joints: tuple[int, ...]  # ids of the hinges that move freely, from the hip down
-    # (3,) m, centre of the foot's lowest ball, or its lowest point, in the foot's frame
+    body: int  # id of the body
+    joints: tuple[int, ...]  # ids of the hinges from the hip down, without followers
+    # (3,) m, centre of the foot's lowest sphere, or the foot's lowest point, in the foot's frame
     sole: FloatArray
-    radius: float  # m, radius of the ball; 0 for a point
-    # (3,) m, the hinge that swings the leg fore and aft, relative to the trunk's origin, in the
-    # start pose and world axes
+    radius: float  # m, radius of the sphere, or 0 for a point
+    # (3,) m, position of the hinge that swings the leg fore and aft, relative to the trunk's origin
+    # in the start pose, in world axes
     hip: FloatArray
-    neutral_y: float  # m, the foot's y relative to the trunk's origin in the start pose
-    length: float  # m, the straight leg from `hip` to `sole`
+    neutral_y: float  # m, y of the foot minus y of the trunk's origin in the start pose
+    length: float  # m, length of the straight leg from `hip` to `sole`
 
 
 def find_legs(robot: PreparedRobot) -> tuple[Leg, ...]:
-    """Return the legs of a quadruped: front left, front right, rear left, rear right.
+    """Return the legs of a quadruped in this order: front left, front right, rear left, rear right.
 
     A leg is a chain of at least three hinges from the trunk to a foot. Feet are the bodies that
-    touch the floor in the start pose, or the key bodies if these are not four feet. Raises
+    touch the floor in the start pose, or the key bodies if not four legs touch the floor. Raises
     ConfigError unless the robot has two legs on each side and looks along x.
     """
     by_contact = _feet(robot.model, robot.contact_bodies)
@@ -149,7 +149,7 @@ def _leg(robot: PreparedRobot, foot: int) -> Leg:
     centre = data.xpos[foot] + centres[lowest].mean(axis=0)
     places = data.xanchor[joints] - data.xpos[1]
     swings = np.abs(data.xaxis[joints, 1]) > LATERAL
-    first = int(swings.argmax())  # the hip, if no joint swings fore and aft
+    first = int(swings.argmax())  # 0, the hip, if no joint swings fore and aft
     end = centre - data.xpos[1]
     return Leg(
         foot=name,
@@ -166,7 +166,7 @@ def _leg(robot: PreparedRobot, foot: int) -> Leg:
 class LegSolver:
     """Inverse kinematics of a robot's legs within their joint limits.
 
-    `knees`, one of `KNEES`, chooses the side of the knees for legs that can bend to both sides.
+    `knees`, one of `KNEES`, chooses where the knees point if legs can bend to both sides.
     """
 
     def __init__(self, robot: PreparedRobot, legs: tuple[Leg, ...], knees: str = KNEES[0]) -> None:
@@ -178,9 +178,9 @@ class LegSolver:
         self._ranges = np.where(limited, robot.model.jnt_range, (-math.pi, math.pi))
 
     def first_pose(self, root: FloatArray, places: FloatArray) -> npt.NDArray[np.float64]:
-        """Return the pose (nq,) nearest to the start pose whose soles are at `places`.
+        """Find the pose (nq,) with the soles at `places` that is nearest to the start pose.
 
-        `root` (7,) is the trunk's position in m and quaternion wxyz; `places` (4, 3) m are world
+        `root` (7,) is the trunk's position in m and quaternion wxyz. `places` (4, 3) m are world
         positions. Raises ConfigError if a foot cannot reach its place.
         """
         pose = self._start.copy()
@@ -206,7 +206,7 @@ class LegSolver:
     def next_pose(
         self, last: FloatArray, root: FloatArray, places: FloatArray
     ) -> npt.NDArray[np.float64]:
-        """Return the pose (nq,) whose soles are at `places`, searched from the last pose."""
+        """Find the pose (nq,) with the soles at `places`. The search starts at the last pose."""
         pose = np.array(last, dtype=np.float64)
         pose[:7] = root
         for leg, place in zip(self._legs, places, strict=True):
@@ -215,7 +215,7 @@ class LegSolver:
         return pose
 
     def soles(self, pose: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Set the follower joints of a pose; return the soles' world positions (4, 3) m."""
+        """Set the follower joints of a pose, and return the soles' world positions (4, 3) m."""
         self._set(pose)
         return np.stack([self._sole(leg) for leg in self._legs])
 
@@ -224,15 +224,15 @@ class LegSolver:
         pose[:] = self._followers.placed(pose)
         self._data.qpos[:] = pose
         mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)  # for Jacobians
+        mujoco.mj_comPos(self._model, self._data)  # Jacobians need it
 
     def _sole(self, leg: Leg) -> npt.NDArray[np.float64]:
         return self._data.xpos[leg.body] + self._data.xmat[leg.body].reshape(3, 3).dot(leg.sole)
 
     def _reach(self, pose: npt.NDArray[np.float64], leg: Leg, place: FloatArray) -> float:
-        """Move a leg's sole to a place by changing `pose`; return the remaining error in m.
+        """Move a leg's sole to a place by changing `pose`, and return the remaining error in m.
 
-        Redundant hinges stay near the first pose, which makes all strides equal.
+        Redundant hinges stay near their angles in the first pose, which makes all strides equal.
         """
         joints = list(leg.joints)
         columns, dofs = self._model.jnt_qposadr[joints], self._model.jnt_dofadr[joints]
@@ -257,7 +257,7 @@ class LegSolver:
         return float(np.linalg.norm(place - self._sole(leg)))
 
     def _check(self, pose: npt.NDArray[np.float64], places: FloatArray) -> None:
-        """Set the follower joints of a pose; raise a ConfigError if a foot misses its place."""
+        """Set the follower joints of a pose, and raise a ConfigError if a foot misses its place."""
         for leg, place, sole in zip(self._legs, places, self.soles(pose), strict=True):
             error = float(np.linalg.norm(place - sole))
             if error > TOLERANCE_M:
@@ -271,11 +271,11 @@ class LegSolver:
 
 _log = logging.getLogger(__name__)
 
-_NEUTRAL_SHARE = 0.7  # default height of the hips above the feet, as a share of the legs' length
+_NEUTRAL_SHARE = 0.7  # default height of the hips above the feet, divided by the legs' length
 
 
-# Gait -> phases of touch-down (front left, front right, rear left, rear right), duty factor.
-# Source: Hildebrand, "Symmetrical gaits of horses", Science 150 (1965).
+# Maps a gait to the touch-down phases of the feet (front left and right, rear left and right) and
+# the duty factor. Source: Hildebrand, "Symmetrical gaits of horses", Science 150 (1965).
 _PATTERNS = {
     "trot": ((0.0, 0.5, 0.5, 0.0), 0.5),
     "walk": ((0.25, 0.75, 0.0, 0.5), 0.75),
@@ -303,10 +303,10 @@ class GaitSettings:
 
 
 def make_gait(robot: PreparedRobot, settings: GaitSettings, name: str = "gait") -> JointClip:
-    """Return a whole number of strides along x; the last pose equals the first.
+    """Return a whole number of strides along x, whose last pose equals the first pose.
 
-    Raises ConfigError if the robot has not four legs, a foot cannot reach its target, or a stride
-    has fewer than four frames.
+    Raises ConfigError if the robot does not have four legs, if a foot cannot reach its target, or
+    if a stride has fewer than four frames.
     """
     legs = find_legs(robot)
     solver = LegSolver(robot, legs, settings.knees)
@@ -317,14 +317,14 @@ def make_gait(robot: PreparedRobot, settings: GaitSettings, name: str = "gait") 
             f"a stride has {per_stride:.3g} frames at fps={settings.fps:g}, expected at least 4;"
             " lower frequency, or raise fps"
         )
-    # Phases count strides; a touch-down may lie between two frames.
+    # A phase of 1 is a stride. A touch-down may lie between two frames.
     phases = np.arange(round(strides * per_stride) + 1) / per_stride
     period_s = per_stride / settings.fps
     root = _trunk(robot, legs, settings, phases, period_s)
     places = _foot_places(legs, settings, phases, period_s)
     standing = [(leg.hip[0], leg.neutral_y, leg.radius) for leg in legs]
     poses = [solver.first_pose(root[0], np.array(standing))]
-    # An additional first stride, which is not in the clip, leads from standing into the gait.
+    # An additional first stride leads from standing into the gait, and is not part of the clip.
     lead_in = math.ceil(per_stride)
     for frame in (*range(lead_in), *range(len(phases))):
         poses.append(solver.next_pose(poses[-1], root[frame], places[frame]))
@@ -344,12 +344,12 @@ def _trunk(
     phases: FloatArray,
     period_s: float,
 ) -> npt.NDArray[np.float64]:
-    """Return the trunk's positions m and quaternions wxyz (T, 7), highest at touch-downs."""
+    """Return the trunk's positions (m) and quaternions wxyz, (T, 7), highest at touch-downs."""
     height = settings.body_height
     if height is None:
         heights = [_NEUTRAL_SHARE * leg.length + leg.radius - leg.hip[2] for leg in legs]
         height = float(np.mean(heights))
-    # Number of touch-downs in a stride; simultaneous touch-downs count once.
+    # Number of touch-downs in a stride, where simultaneous touch-downs count once.
     beats = len(set(_PATTERNS[settings.gait][0]))
     root = np.zeros((len(phases), 7))
     root[:, 0] = settings.speed * period_s * phases
@@ -363,7 +363,7 @@ def _foot_places(
 ) -> npt.NDArray[np.float64]:
     """Return the world positions (T, 4, 3) m of the soles at phases (T,) in strides.
 
-    A foot is below its hip in mid stance. Its swing starts and ends without velocity and
+    A foot is below its hip in mid stance. A foot's swing starts and ends with zero velocity and
     acceleration.
     """
     touch_downs, duty = _PATTERNS[settings.gait]
@@ -371,7 +371,7 @@ def _foot_places(
     stride_m = settings.speed * period_s
     places = np.zeros((len(phases), len(legs), 3))
     for i, (leg, touch_down) in enumerate(zip(legs, touch_downs, strict=True)):
-        # Sums of floats miss a touch-down by a rounding error.
+        # Rounding errors could place a touch-down at the end of the previous stride.
         since = np.round(phases - touch_down, 9)
         number = np.floor(since)
         swing = np.clip((since - number - duty) / (1.0 - duty), 0.0, 1.0)
@@ -384,14 +384,14 @@ def _foot_places(
 
 
 def write_gait(source: str, out: str, settings: GaitSettings) -> Path:
-    """Make the gait of a robot's file and write it; return the path of the clip."""
+    """Make a gait for a robot's file, write it, and return the path of the clip."""
     path = Path(out)
     check_output(path, (".npz",), settings.overwrite)
     of_robot = RobotSettings(
         contact_bodies=settings.feet,
         key_bodies=settings.feet,
         start_rotation=settings.start_rotation,
-        start_pose={},  # the file's own pose; `knees` decides how the legs bend
+        start_pose={},  # keeps the file's pose, because `knees` decides how the legs bend
     )
     robot = load_robot(source, of_robot)
     try:

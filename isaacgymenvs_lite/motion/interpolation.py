@@ -1,4 +1,4 @@
-"""States of clips between their frames, on splines or by the published interpolation.
+"""Computes states of clips between frames, by splines or as AMP and ASE interpolate.
 
 The tensors hold the frames of all clips, one after the other. Quaternions are xyzw.
 """
@@ -22,32 +22,33 @@ from isaacgymenvs_lite.utils import rotations
 
 
 class MotionState(NamedTuple):
-    """States of n samples, float32 on the library's device; K key bodies."""
+    """States of n samples with K key bodies, in float32 on the library's device."""
 
     root_pos: Tensor  # (n, 3) m, world
     root_rot: Tensor  # (n, 4), world
     dof_pos: Tensor  # (n, num_dofs) rad, rotation vectors of ball joints and angles of hinges
     root_vel: Tensor  # (n, 3) m/s, world
     root_ang_vel: Tensor  # (n, 3) rad/s, world
-    # (n, num_dofs) rad/s, rates of hinge angles, and ball joints' angular velocities (child frame)
+    # (n, num_dofs) rad/s, rates of hinge angles, and angular velocities of ball joints in the
+    # child's frame
     dof_vel: Tensor
     key_pos: Tensor  # (n, K, 3) m, world
 
 
 class Moments(NamedTuple):
-    """Times (n,) in clips, each between two frames."""
+    """Times (n,) in clips, each of which lies between two frames."""
 
-    row: Tensor  # the frame before, as a row among the frames of all clips
-    next_row: Tensor  # the frame after; equals `row` at the end of a clip
-    blend: Tensor  # time since `row`, in frames; negative before the start of a clip
+    row: Tensor  # row of the frame before, among the frames of all clips
+    next_row: Tensor  # row of the frame after, or `row` at the end of a clip
+    blend: Tensor  # time since the frame before, in frames; negative before the start of a clip
     frame_s: Tensor  # time between two frames, s
 
 
 class Frames:
-    """The frames of all clips, on a device; subclasses interpolate between them.
+    """The frames of all clips on a device. Subclasses interpolate between these frames.
 
-    A joint is stored as a rotation, or as an angle, which may exceed pi. The bodies of the clips
-    are in the skeleton's order. `key_ids` are K body ids.
+    A joint is stored either as a rotation or as an angle, which may exceed pi. The bodies of the
+    clips are in the skeleton's order. `key_ids` are the ids of the K key bodies.
     """
 
     def __init__(
@@ -56,9 +57,9 @@ class Frames:
         self._skeleton, self._device = skeleton, device
         self._key_ids = torch.tensor(list(key_ids), dtype=torch.long, device=device)
         self._with_angles = with_angles
-        self._turned: list[int] = []  # joint groups stored as rotations
-        self._hinges: list[int] = []  # joint groups stored as angles
-        self._angles: list[int] = []  # the DOFs of `_hinges`
+        self._turned: list[int] = []  # joints stored as rotations
+        self._hinges: list[int] = []  # joints stored as angles
+        self._angles: list[int] = []  # DOFs of the joints stored as angles
         places = [0] * skeleton.num_dofs
         for group, (start, end) in enumerate(itertools.pairwise(skeleton.dof_offsets)):
             if self._with_angles and end - start == 1:
@@ -66,12 +67,13 @@ class Frames:
                 self._hinges.append(group)
                 self._angles.append(start)
                 continue
-            # Hinges that are stored as rotations have the axis y, the second component.
+            # Hinges that are stored as rotations have the axis y, so the second component is used.
             components = range(3) if end - start == 3 else (1,)
             places[start:end] = [3 * len(self._turned) + i for i in components]
             self._turned.append(group)
         shift = 3 * len(self._turned)
-        # Each DOF's column in an array that holds all rotation vectors, then all angles.
+        # Column of each DOF in an array that starts with all rotation vectors and ends with all
+        # angles.
         self._columns = [
             shift + place if dof in self._angles else place for dof, place in enumerate(places)
         ]
@@ -85,7 +87,7 @@ class Frames:
         dofs = dofs_of_clip(self._skeleton, clip)
         turns = joint_rotations(self._skeleton, dofs).numpy()[:, self._turned]
         angles = dofs[:, self._angles]
-        # Angles computed from rotations are within pi and may jump.
+        # Angles that come from rotations are within pi and may jump.
         return (np.unwrap(angles, axis=0) if clip.dof_pos is None else angles), turns
 
     def _tensor(self, rows: Sequence[FloatArray]) -> Tensor:
@@ -93,12 +95,13 @@ class Frames:
 
 
 class PoseSplines(Frames):
-    """Cubic splines through the poses; velocities are the splines' derivatives.
+    """Cubic splines through the poses. The derivatives of the splines are the velocities.
 
     The splines interpolate the root position, the hinge angles, and the quaternions of the root and
-    the ball joints, which are then normalised. Their end condition is "not-a-knot", which assumes
-    no velocity. Forward kinematics of the robot's model places the bodies. The pose is extrapolated
-    at the first velocity before the start of a clip. The last state is kept after the end.
+    the ball joints. The quaternions are then normalised. The splines' end condition "not-a-knot"
+    assumes no velocity. Forward kinematics of the robot's model places the bodies. Before the start
+    of a clip, the pose is extrapolated with the first velocity. After the end of a clip, the last
+    state is kept.
     """
 
     def __init__(
@@ -110,16 +113,16 @@ class PoseSplines(Frames):
     ) -> None:
         super().__init__(skeleton, key_ids, device, with_angles=True)
         self._bodies = BodyPoses(skeleton)
-        # (frames, 2, columns): values, and their slopes per frame.
+        # (frames, 2, columns): values, and their derivatives per frame.
         self._rows = self._tensor([self._rows_of(clip) for clip in clips])
 
     def _rows_of(self, clip: MotionClip) -> FloatArray:
-        """Return (T, 2, columns): root position, hinge angles and quaternions, and their slopes."""
-        from scipy.interpolate import CubicSpline  # tasks without clips do not need scipy
+        """Return root position, hinge angles and quaternions with derivatives, (T, 2, columns)."""
+        from scipy.interpolate import CubicSpline  # only clips need scipy
 
         angles, turns = self._joint_poses(clip)
         turns = np.concatenate((clip.local_rotation[:, :1], turns), axis=1).astype(np.float64)
-        # A quaternion and its negative are the same rotation; the signs must not jump.
+        # A quaternion and its negative are the same rotation, but a spline needs continuous signs.
         is_other_side = (turns[1:] * turns[:-1]).sum(axis=-1) < 0.0
         turns[1:] *= np.where(np.cumsum(is_other_side, axis=0) % 2 == 1, -1.0, 1.0)[..., None]
         parts = (clip.root_translation, angles, turns.reshape(clip.num_frames, -1))
@@ -128,7 +131,7 @@ class PoseSplines(Frames):
         return np.stack((values, slopes), axis=1)
 
     def states(self, at: Moments) -> MotionState:
-        """Return the states at n moments."""
+        """Return the states at n times in clips."""
         values, rates = self._on_splines(at)
         num_angles = len(self._angles)
         root_pos, angles, turns = values.split([3, num_angles, values.shape[1] - 3 - num_angles], 1)
@@ -154,14 +157,14 @@ class PoseSplines(Frames):
         )
 
     def body_pos(self, at: Moments) -> Tensor:
-        """Return the world positions (n, J, 3) m of all bodies at n moments."""
+        """Return the world positions (n, J, 3) m of all bodies at n times in clips."""
         return self._place_bodies(self._on_splines(at)[0])
 
     def _on_splines(self, at: Moments) -> tuple[Tensor, Tensor]:
         """Return values (n, columns) and their rates per second."""
         before, slope = self._rows.index_select(0, at.row).unbind(1)
         after, next_slope = self._rows.index_select(0, at.next_row).unbind(1)
-        # A clip has no next frame at its end.
+        # At the end of a clip there is no next frame.
         blend = torch.where(at.next_row == at.row, 0.0, at.blend).unsqueeze(1)
         s = blend.clamp(0.0, 1.0)
         # Hermite's form of the cubic between two frames, and its derivative.
@@ -191,12 +194,12 @@ class PoseSplines(Frames):
 class PublishedFrames(Frames):
     """The interpolation of the AMP and ASE motion libraries.
 
-    World positions are interpolated linearly and rotations by slerp. Positions and rotations are
-    extrapolated from the first two frames before the start of a clip. Velocities belong to the
-    frame at or before the time. The root has its stored velocities; joint velocities are
-    differences to the next frame.
+    World positions are interpolated linearly, and rotations by slerp. Before the start of a clip,
+    positions and rotations are extrapolated from the first two frames. Velocities are not
+    interpolated but taken from the frame before. The velocities of the root are stored, and joint
+    velocities are differences to the next frame.
 
-    Ball joints and hinges of the shipped humanoids are stored as rotations, as in the original.
+    As in AMP and ASE, ball joints and hinges of the shipped humanoids are stored as rotations.
     Hinges of other skeletons, or of clips with `dof_pos`, are stored as angles.
     """
 
@@ -222,7 +225,7 @@ class PublishedFrames(Frames):
         """Return the frames (T, columns): positions, hinge angles, rotations, velocities.
 
         `positions` (T, 1 + K, 3) m belong to the root and the key bodies. Rotations and velocities
-        belong to the root, then to the joints.
+        of the root precede those of the joints.
         """
         angles, turns = self._joint_poses(clip)
         rates = np.diff(angles, axis=0) * clip.fps
@@ -240,7 +243,7 @@ class PublishedFrames(Frames):
         return np.concatenate([part.reshape(clip.num_frames, -1) for part in parts], axis=-1)
 
     def states(self, at: Moments) -> MotionState:
-        """Return the states at n moments."""
+        """Return the states at n times in clips."""
         frame = self._rows.index_select(0, at.row)
         next_frame = self._rows.index_select(0, at.next_row)
         num_rotations = 1 + len(self._turned)
@@ -269,7 +272,7 @@ class PublishedFrames(Frames):
         )
 
     def body_pos(self, at: Moments) -> Tensor:
-        """Return the world positions (n, J, 3) m of all bodies at n moments."""
+        """Return the world positions (n, J, 3) m of all bodies at n times in clips."""
         before, after = self._body_pos[at.row], self._body_pos[at.next_row]
         return torch.lerp(before, after, at.blend.view(-1, 1, 1))
 
@@ -278,5 +281,5 @@ FRAMES: dict[str, type[PoseSplines | PublishedFrames]] = {
     "spline": PoseSplines,
     "published": PublishedFrames,
 }
-"""The interpolations by their names in `task.env.clipInterpolation`."""
+"""Maps names in `task.env.clipInterpolation` to interpolations."""
 INTERPOLATIONS = tuple(FRAMES)

@@ -1,7 +1,7 @@
-"""Forward kinematics and velocities of pose sequences; arrays are float64, quaternions xyzw.
+"""Forward kinematics and velocities of pose sequences in float64, with quaternions xyzw.
 
-The formulas are poselib's: velocities agree with a published file within 3e-6 m/s and 1e-3 rad/s.
-Shapes use T frames and J bodies.
+The formulas are those of poselib. Velocities agree with a published file within 3e-6 m/s and 1e-3
+rad/s. Shapes use T frames and J bodies.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from isaacgymenvs_lite.utils import rotations
 
 FloatArray = npt.NDArray[np.floating]
 
-# poselib filters velocities by a Gaussian along time; sigma and radius are in frames.
+# poselib smooths velocities with a Gaussian filter over time. Sigma and radius are in frames.
 _FILTER_SIGMA = 2.0
 _FILTER_RADIUS = 8
 
@@ -30,10 +30,11 @@ def forward_kinematics(
     """Return the world positions (T, J, 3) m and the world rotations (T, J, 4) of all bodies.
 
     Args:
-        parent_indices: J body ids, -1 for the root, which comes first; parents before children.
-        local_translation: (J, 3) or (T, J, 3) m, offsets in the parent's frame; the root's offset
+        parent_indices: J body ids of the parents, and -1 for the root. Parents come before
+            children.
+        local_translation: (J, 3) or (T, J, 3) m, offsets in the parents' frames. The root's offset
             is not used.
-        local_rotation: (T, J, 4), rotations relative to the parent.
+        local_rotation: (T, J, 4), rotations relative to the parents.
         root_translation: (T, 3) m, world positions of the root.
     """
     local = _tensor(local_rotation)
@@ -49,7 +50,7 @@ def forward_kinematics(
 
 
 def local_rotations(parent_indices: Sequence[int], global_rotation: FloatArray) -> FloatArray:
-    """Return the rotations relative to the parents (T, J, 4) of world rotations (T, J, 4)."""
+    """Convert world rotations (T, J, 4) to rotations relative to the parents (T, J, 4)."""
     turns = _tensor(global_rotation)
     parents = turns[:, [max(parent, 0) for parent in parent_indices]]
     local = _canonical(rotations.quat_mul(rotations.quat_conjugate(parents), turns))
@@ -60,7 +61,8 @@ def local_rotations(parent_indices: Sequence[int], global_rotation: FloatArray) 
 def linear_velocities(positions: FloatArray, fps: float) -> FloatArray:
     """Return the smoothed velocities (T, J, 3) m/s of positions (T, J, 3) m, T >= 2.
 
-    They are central differences (one-sided at the ends), smoothed by the Gaussian filter.
+    The velocities are central differences, with one-sided differences at the ends, smoothed by the
+    Gaussian filter.
     """
     return _smooth(np.gradient(np.asarray(positions, dtype=np.float64), axis=0)) * fps
 
@@ -68,8 +70,8 @@ def linear_velocities(positions: FloatArray, fps: float) -> FloatArray:
 def angular_velocities(rotation: FloatArray, fps: float) -> FloatArray:
     """Return the smoothed world angular velocities (T, J, 3) rad/s of rotations (T, J, 4).
 
-    The velocity of a frame is its rotation to the next frame; the last frame has zero velocity, as
-    in poselib's files. The Gaussian filter then smooths them.
+    The velocity of a frame comes from the rotation to the next frame. The last frame has zero
+    velocity, as in poselib's files. The Gaussian filter then smooths the velocities.
     """
     turns = _tensor(rotation)
     steps = rotations.quat_mul(turns[1:], rotations.quat_conjugate(turns[:-1]))
@@ -81,10 +83,10 @@ def angular_velocities(rotation: FloatArray, fps: float) -> FloatArray:
 def joint_velocities(local_rotation: FloatArray, fps: float) -> FloatArray:
     """Return the unsmoothed angular velocities (T, J, 3) rad/s of joints, in the child's frame.
 
-    The velocity of a frame is its rotation to the next frame; the last frame repeats the velocity
-    before it (T >= 2). The arithmetic repeats IsaacGymEnvs' in the data's precision; results agree
-    within 3e-6 rad/s. In float32 at 60 fps its arc cosine is off by up to 0.03 rad/s for slow
-    joints.
+    The velocity of a frame comes from the rotation to the next frame. The last frame repeats the
+    previous velocity (T >= 2). The arithmetic is that of IsaacGymEnvs in the precision of the data,
+    and results agree within 3e-6 rad/s. In float32 at 60 fps, the errors of the arc cosine reach
+    0.03 rad/s for slow joints.
     """
     local = torch.from_numpy(np.ascontiguousarray(local_rotation))
     if local.dtype != torch.float32:
@@ -119,7 +121,7 @@ def _canonical(q: torch.Tensor) -> torch.Tensor:
 
 
 def _smooth(x: FloatArray) -> FloatArray:
-    """Filter x (T, ...) along time with the Gaussian; the end values continue beyond the ends."""
+    """Filter x (T, ...) over time with the Gaussian, as if the end values continued."""
     reach = np.arange(-_FILTER_RADIUS, _FILTER_RADIUS + 1)
     weights = np.exp(-0.5 * (reach / _FILTER_SIGMA) ** 2)
     weights /= weights.sum()

@@ -1,4 +1,4 @@
-"""Reads motion files of all formats: clips and data sets of clips."""
+"""Reads clips of all formats, and data sets of clips."""
 
 from __future__ import annotations
 
@@ -47,19 +47,20 @@ from isaacgymenvs_lite.utils.yaml_file import load_yaml
 
 _log = logging.getLogger(__name__)
 
-# Advice for a robot's clip where a humanoid's is expected, and the reverse.
+# Advice for a robot's clip in place of a humanoid's clip, and for the opposite case.
 ROBOT_HINT = "a clip of a robot needs task=RobotAMP in training, robot=FILE in the clip commands"
 RETARGET_HINT = "retarget it with isaacgymenvs-lite convert IN OUT.npz robot=FILE"
-# Files round offsets to 1e-4 m; a larger difference shows a clip of another body.
+# Files round offsets to 1e-4 m. A larger difference means that a clip belongs to another body.
 _OFFSET_TOLERANCE_M = 0.01
-# A knee or elbow that rotates this far (0.6 deg) out of its axis loses visible motion.
+# Rotations of knees and elbows out of their axes are dropped, which is visible above this angle
+# (0.6 deg).
 _HINGE_TOLERANCE_RAD = 0.01
-# Interpolation makes joint coordinates and poses differ by less than this.
+# Differences between joint coordinates and poses from interpolation are smaller than this.
 _DOF_TOLERANCE_RAD = 0.05
-# Motion of people stays below these values; clips in centimetres exceed them.
+# Human motion stays below these values, and clips in centimetres exceed them.
 _USUAL_PLACE_M, _USUAL_SPEED_M_S, _USUAL_SPEED_RAD_S = 1_000.0, 60.0, 300.0
 _DATASET_SUFFIXES = (".yaml", ".yml")
-# The suffixes that are appended to a name without suffix, in this order.
+# To find a file for a name without suffix, these suffixes are tried in this order.
 _GUESSED_SUFFIXES = (".npz", ".npy", ".yaml", ".json")
 _CONVERT = "isaacgymenvs-lite convert IN.bvh OUT.npz"
 _EXAMPLE = 'expected `motions:` with a list of `- {file: "clip.npz", weight: 0.5}`'
@@ -70,9 +71,9 @@ class JointFileSettings:
     """A user's settings for a file of a robot's joint coordinates."""
 
     fps: float | None = None
-    """Frames per second of a table without a rate; None uses the default of its form."""
+    """Frames per second of a table without a rate. None selects the default of its format."""
     quat_order: QuatOrder | None = None
-    """Order of the file's quaternions; None: see `read_joint_clip`."""
+    """Order of the file's quaternions. None selects the rules of `read_joint_clip`."""
     by_order: bool = False
     """Whether joints are matched by their order instead of their names."""
 
@@ -107,16 +108,16 @@ def _clips_in(folder: Path) -> list[str]:
 def load_clips(
     motion_file: str | Path, skeleton: Skeleton | None = None
 ) -> list[tuple[MotionClip, float]]:
-    """Read a clip or all clips of a data set; return each clip with its weight (at least 0).
+    """Read a clip or all clips of a data set, and return the clips and their weights >= 0.
 
     Args:
         motion_file: a path (absolute or relative to the working directory), the name of a shipped
             clip, or `deepmimic:<name>`. A `.yaml` file is a data set. The clip formats are `.npz`,
             `.npy` and `.json` (poselib), `.txt` and `.json` (DeepMimic), `.csv` (joint angles), and
-            robots' joint coordinates (`formats.robot_clip`). A `.pkl` or `.npy` of a robot may hold
-            several motions, which get equal weights; `FILE:MOTION` selects one.
-        skeleton: the clips' skeleton, by default the humanoid with 28 degrees of freedom. The
-            bodies of the clips are reordered to match it.
+            robots' joint coordinates (`formats.robot_clip`). A `.pkl` or `.npy` of a robot may
+            contain several motions, which get equal weights. `FILE:MOTION` selects one of them.
+        skeleton: the clips' skeleton, by default the humanoid with 28 degrees of freedom. The clips
+            get the skeleton's order of bodies.
 
     Raises:
         MotionFileError: a file is missing or not valid, or belongs to another humanoid.
@@ -143,12 +144,13 @@ def load_single_clip(
     skeletons: Sequence[Skeleton] = (),
     joint_file: JointFileSettings = _AS_IN_THE_FILE,
 ) -> tuple[MotionClip, Skeleton]:
-    """Read one clip of a humanoid or a robot; return it with its skeleton.
+    """Read one clip of a humanoid or a robot, and return the clip and its skeleton.
 
     Args:
-        motion_file: a clip, see `load_clips`; a data set is refused.
-        skeletons: the possible skeletons of the clip, by default all shipped humanoids. Robots'
-            joint coordinates belong to the first skeleton, DeepMimic's clips to the first humanoid.
+        motion_file: a clip (see `load_clips`). A data set is refused.
+        skeletons: the possible skeletons of the clip, by default all shipped humanoids. Joint
+            coordinates of robots belong to the first skeleton, and clips of DeepMimic to the first
+            humanoid.
         joint_file: settings for a file of joint coordinates.
     """
     skeletons = skeletons or [skeleton_for_num_dofs(number) for number in SHIPPED_NUM_DOFS]
@@ -166,9 +168,9 @@ def load_single_clip(
 def resolve_motion_file(name: str | Path, folders: Sequence[Path] = (Path(),)) -> str:
     """Return the path of a motion file, whose suffix may be left out.
 
-    A relative path is looked up in the folders and among the shipped clips. The motion of
-    `FILE:MOTION` and names like `deepmimic:walk` are kept. Raises MotionFileError if no file is
-    found.
+    A relative path is looked up in the folders and among the shipped clips. A suffix `:MOTION`
+    after the path is kept, and names like `deepmimic:walk` are returned unchanged. Raises
+    MotionFileError if no file is found.
     """
     if is_package_name(name):
         return str(name)
@@ -194,7 +196,7 @@ def _humanoid_of(skeletons: Sequence[Skeleton], motion_file: str | Path) -> Skel
     """Return the first humanoid that has the bodies and joints of DeepMimic's clips."""
     for skeleton in skeletons:
         has_bodies = set(deepmimic.MOVED_BODIES) <= set(skeleton.body_names)
-        # dm_control's humanoid has these bodies with other joints.
+        # The humanoid of dm_control has the same bodies, but other joints.
         if has_bodies and skeleton.has_simple_joints:
             return skeleton
     raise MotionFileError(f"{motion_file}: is a DeepMimic clip of the humanoid; {RETARGET_HINT}")
@@ -203,7 +205,7 @@ def _humanoid_of(skeletons: Sequence[Skeleton], motion_file: str | Path) -> Skel
 def _load(
     found: str, skeletons: Sequence[Skeleton], joint_file: JointFileSettings = _AS_IN_THE_FILE
 ) -> list[tuple[MotionClip, Skeleton, float]]:
-    """Read a resolved motion file: return clips, their skeletons, and weights whose sum is 1."""
+    """Read a resolved motion file, and return clips, skeletons, and weights whose sum is 1."""
     if is_package_name(found):
         humanoid = _humanoid_of(skeletons, found)
         return [
@@ -212,7 +214,7 @@ def _load(
         ]
     path = Path(found)
     suffix = Path(split_motion(path)[0]).suffix
-    # A robot's joints may have the humanoid's names.
+    # A robot's joints may have the same names as the humanoid's joints.
     is_robots = suffix == ".csv" and not skeletons[0].has_simple_joints
     if is_robots or looks_like_joint_clip(path):
         clips = _clips_of_joints(path, skeletons[0], joint_file)
@@ -249,7 +251,7 @@ def _load(
 def _clips_of_joints(
     path: Path, skeleton: Skeleton, settings: JointFileSettings
 ) -> list[MotionClip]:
-    """Read a file of joint coordinates for a robot; MuJoCo's kinematics gives the poses."""
+    """Read a robot's joint coordinates, and compute the poses by MuJoCo's kinematics."""
     clips = []
     following = skeleton.followers.names if skeleton.followers is not None else ()
     for read in read_joint_clips(
@@ -272,7 +274,7 @@ def _clips_of_joints(
 
 
 def _load_json(path: Path, skeletons: Sequence[Skeleton]) -> MotionClip:
-    """Read a `.txt` or `.json` clip of DeepMimic (it has 'Frames') or poselib."""
+    """Read a clip (`.txt` or `.json`) of DeepMimic, which has the key 'Frames', or of poselib."""
     data = read_json(path)
     if "Frames" in data or path.suffix == ".txt":
         return deepmimic.clip_from_deepmimic(data, _humanoid_of(skeletons, path), str(path))
@@ -286,7 +288,7 @@ class _Dataset:
 
 @dataclass(frozen=True)
 class DatasetEntry:
-    """One clip of a data set: its file as written in the data set, and its unnormalised weight."""
+    """One clip of a data set: its path as written in the data set, and its unnormalised weight."""
 
     file: str = setting()
     weight: float = setting(minimum=0, maximum=1e12)
@@ -315,9 +317,9 @@ def read_dataset(path: str | Path) -> list[DatasetEntry]:
 def fit_to_skeleton(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
     """Return the clip with its bodies in the order of `skeleton`.
 
-    A warning names rotations of hinges about other axes (they are dropped), limbs of other lengths,
-    joint coordinates that contradict the poses, and implausible positions and speeds. Raises
-    MotionFileError for a clip of another skeleton.
+    Rotations of hinges about other axes are dropped. A warning names such rotations, limbs of other
+    lengths, joint coordinates that contradict the poses, and implausible positions and speeds.
+    Raises MotionFileError for a clip of another skeleton.
     """
     _refuse_other_bodies(clip, skeleton)
     clip = _reorder(clip, skeleton)
@@ -387,9 +389,9 @@ def _parent_name(names: tuple[str, ...], parent: int) -> str:
 
 
 def _warn_of_other_offsets(clip: MotionClip, skeleton: Skeleton) -> None:
-    # The root's offset is only the character's position in its file.
+    # The root's offset is only the character's position in the model file.
     difference = np.linalg.norm(clip.local_translation - skeleton.local_translation, axis=-1)
-    # A body whose joint is not at its origin moves in its parent.
+    # A joint that is not at its body's origin moves this origin in the parent's frame.
     anchored = np.array(skeleton.dof_body_ids, dtype=int)[skeleton.joint_anchors.any(axis=1)]
     difference[..., anchored] = 0.0
     difference = difference.reshape(-1, skeleton.num_bodies).max(axis=0)[1:]
@@ -426,8 +428,8 @@ def _warn_of_hinge_violation(clip: MotionClip, skeleton: Skeleton) -> None:
     if not groups:
         return
     hinges = [skeleton.dof_body_ids[group] for group in groups]
-    # The part of the quaternion's vector across the axis has the length sin(angle / 2), where the
-    # angle is between the axis and the rotated axis.
+    # The component of the quaternion's vector perpendicular to the axis has the length sin(angle /
+    # 2), with the angle between the axis and the rotated axis.
     off_axis = np.linalg.norm(np.cross(turns[:, hinges, :3], skeleton.joint_axes[groups]), axis=-1)
     frame, hinge = (int(i) for i in np.unravel_index(off_axis.argmax(), off_axis.shape))
     angle_rad = 2.0 * math.asin(min(float(off_axis[frame, hinge]), 1.0))
@@ -444,7 +446,7 @@ def _warn_of_hinge_violation(clip: MotionClip, skeleton: Skeleton) -> None:
 
 
 def _check_dofs(clip: MotionClip, dofs: FloatArray, skeleton: Skeleton) -> None:
-    """Refuse a wrong number of joint coordinates; warn if they contradict the poses."""
+    """Refuse a wrong number of joint coordinates, and warn if they contradict the poses."""
     if dofs.shape[1] != skeleton.num_dofs:
         raise MotionFileError(
             f"{clip.name}: dof_pos has {dofs.shape[1]} columns, expected the {skeleton.num_dofs} "

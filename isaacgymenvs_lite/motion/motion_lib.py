@@ -1,4 +1,4 @@
-"""The motion library: batches of reference states from clips at any time.
+"""The motion library provides batches of reference states from clips at any time.
 
 Sampling follows the motion libraries of AMP and ASE. Quaternions are xyzw.
 """
@@ -30,10 +30,11 @@ __all__ = ["MotionLib", "MotionState"]
 
 _log = logging.getLogger(__name__)
 
-# A frame's time, rounded to float32, must not select the frame before: its velocities differ.
+# A frame's time, even rounded down to float32, must select this frame, not the one before.
 _TIME_ROUNDING = 1.0 + 1e-7
 
-# The motion at a time is the bodies' distance over `_MOTION_S`; times are sampled by bins.
+# The amount of motion at a time is the distance of the bodies over `_MOTION_S`, which is computed
+# for bins.
 _MOTION_S, _MOTION_BIN_S = 0.1, 1.0 / 30.0
 _LEAST_MOTION_M = 1e-6
 
@@ -42,21 +43,21 @@ _Times = Tensor | npt.NDArray[np.floating] | Sequence[float]
 
 
 class MotionLib:
-    """Clips of one humanoid or robot, sampled by weight and read at any time.
+    """Clips of one humanoid or robot, which are sampled by weight and evaluated at any time.
 
     Args:
-        motion_file: a clip or a data set, see `loader.load_clips`.
+        motion_file: a clip or a data set (see `loader.load_clips`).
         num_dofs: degrees of freedom, which select a shipped humanoid.
         key_body_ids: K body ids whose positions `get_motion_state` returns.
         device: device of the tensors.
         repair_repeated_frames: whether copies are dropped from clips that store every pose twice.
-        skeleton: the skeleton of a robot that is no shipped humanoid.
-        interpolation: `published` or `spline`, see `interpolation`. Tasks use `spline`.
+        skeleton: the skeleton of a robot that is not a shipped humanoid.
+        interpolation: `published` or `spline` (see the module `interpolation`). Tasks use `spline`.
         ground: whether the lowest points of each clip are put on the ground.
 
     Attributes:
         skeleton: the skeleton of the clips.
-        implausible: descriptions of implausible motion by the names of the clips.
+        implausible: maps names of clips to descriptions of implausible motion.
 
     Raises:
         MotionFileError: a clip cannot be used.
@@ -125,7 +126,7 @@ class MotionLib:
         return bodies_on_ground(self._clips, self.skeleton)
 
     def get_motion(self, motion_id: int) -> MotionClip:
-        """Return a clip, with its bodies in the order of the skeleton."""
+        """Return a clip, whose bodies are in the order of the skeleton."""
         return self._clips[motion_id]
 
     def motion_weights(self) -> Tensor:
@@ -137,14 +138,14 @@ class MotionLib:
         return self._lengths_s[torch.as_tensor(motion_ids, dtype=torch.long, device=self.device)]
 
     def sample_motions(self, n: int) -> Tensor:
-        """Return clip ids (n,), sampled by weight with replacement from torch's generator."""
+        """Draw clip ids (n,) by weight with replacement, with torch's generator."""
         uniform = torch.rand(n, device=self.device, dtype=torch.float64)
         return torch.searchsorted(self._cumulative_weights, uniform, right=True)
 
     def sample_time(self, motion_ids: _Ids, truncate_time: float | None = None) -> Tensor:
-        """Return random times (n,) s in the clips (n,), outside their last `truncate_time` s.
+        """Draw times (n,) s in the clips (n,), but not in their last `truncate_time` s.
 
-        Shorter clips give time 0.
+        The time is 0 if a clip is shorter than `truncate_time`.
         """
         lengths = self.get_motion_length(motion_ids)
         if truncate_time is not None:
@@ -154,14 +155,14 @@ class MotionLib:
         return torch.rand_like(lengths) * lengths
 
     def sample_moving_time(self, motion_ids: _Ids) -> Tensor:
-        """Return random times (n,) s in the clips (n,) with a density proportional to the motion.
+        """Draw times (n,) s in the clips (n,) with a density proportional to the motion.
 
-        The motion is the mean distance of the bodies in 0.1 s. The times of a clip without motion
-        are uniform.
+        The motion is the mean distance that the bodies cover in 0.1 s. In a clip without motion,
+        the density is uniform.
         """
         ids = torch.as_tensor(motion_ids, dtype=torch.long, device=self.device)
         cumulative, first_bins, widths_s = self._motion_bins
-        # The cumulative motion of clip k rises from k to k + 1.
+        # The cumulative motion is normalised to rise from k to k + 1 in clip k.
         wanted = ids + torch.rand(len(ids), device=self.device, dtype=torch.float64)
         bins = torch.searchsorted(cumulative, wanted, right=True) - first_bins[ids]
         within = torch.rand(len(ids), device=self.device)
@@ -170,7 +171,7 @@ class MotionLib:
 
     @functools.cached_property
     def _motion_bins(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Cumulative motion (B,) over all bins, each clip's first bin (M,), bin widths (M,) s."""
+        """Cumulative motion (B,) of bins, and first bins (M,) and bin widths (M,) s of clips."""
         cumulative, counts, widths_s = [], [], []
         for motion_id, length_s in enumerate(self._lengths_s.tolist()):
             count = max(1, round(length_s / _MOTION_BIN_S))
@@ -191,7 +192,8 @@ class MotionLib:
     def get_motion_state(self, motion_ids: _Ids, motion_times: _Times) -> MotionState:
         """Return the states of clips (n,) at times (n,) in s.
 
-        The state is extrapolated before the start of a clip. The last pose is kept after its end.
+        Before the start of a clip, the state is extrapolated. After the end of a clip, its last
+        pose is kept.
         """
         return self._frames.states(self._moments(motion_ids, motion_times))
 
@@ -212,7 +214,7 @@ class MotionLib:
 
 
 def _without_copies(clip: MotionClip, repair: bool) -> MotionClip:
-    """Drop frames that are stored twice if `repair`, else log a warning."""
+    """If `repair`, drop copies of frames that are stored twice. Otherwise log a warning."""
     if clip.find_repeated_frames() is None:
         return clip
     if not repair:

@@ -1,7 +1,7 @@
 """Finds motion in a clip that no body can perform and no policy can imitate.
 
-The checks concern the ground, flight, joint limits, and the start and end of a clip.
-`warn_of_implausible` logs the results; the clip is used in any case.
+The checks concern ground contact, flight, joint limits, and the start and end of a clip.
+`warn_of_implausible` logs the results, and the clip is used in any case.
 """
 
 from __future__ import annotations
@@ -32,35 +32,35 @@ from isaacgymenvs_lite.utils.rotations import rotate_components
 _log = logging.getLogger(__name__)
 
 GROUND_QUANTILE = 0.05
-"""The ground's height is this quantile of the frames' lowest points, which ignores outliers."""
+"""The ground's height is this quantile of the lowest points of all frames."""
 _DEEP_M, _HIGH_M = 0.03, 0.03
-_IN_AIR_M = 0.1  # recorded walks have feet 8 cm above the ground
-# A body in contact is lower than this share of the centre of mass' usual height (3 cm for a human)
-# in at least this share of the frames.
+_IN_AIR_M = 0.1  # in recorded walks, feet can be 8 cm above the ground
+# A body touches the ground if it is low in at least `_TOUCH_SHARE` of the frames. Low means below
+# `_TOUCH` times the usual height of the centre of mass (3 cm for a human).
 _TOUCH, _TOUCH_SHARE = 0.033, 0.02
-# A body rolls or lies if its centre of mass is below this share of the usual height.
+# A character rolls or lies if its centre of mass is below this share of the usual height.
 _LOW_MASS = 0.45
 _GRAVITY_M_S2 = 9.81
-# Recorded jumps fall at 9.6 to 10.8 m/s^2 because the body's shape changes.
+# Recorded jumps fall with 9.6 to 10.8 m/s^2, because the body's shape changes in flight.
 _FALL_TOLERANCE_M_S2 = 1.2
 _FALL_MISFIT_M = 0.02
 _HOVERING_M_S2 = 5.0
-# Shorter flights do not show the body's acceleration.
+# Shorter flights do not allow an estimate of the acceleration.
 _FLIGHT_S, _FLIGHT_FRAMES = 0.2, 5
 _EXCESS_RAD = 0.1
-# The first and the last pose of a cycle differ by less than this, averaged over the bodies.
+# In a cycle, the mean distance of the bodies between first and last pose is below this value.
 _CLOSED_M = 0.1
-# Longer clips are checked at this many frames, evenly spaced.
+# Longer clips are checked at this many evenly spaced frames.
 _MAX_FRAMES = 4000
 _MAX_NAMED = 5
 
 
 @dataclass(frozen=True, eq=False)
 class _Poses:
-    """T frames of a clip, at most `_MAX_FRAMES`."""
+    """T frames of a clip, which are at most `_MAX_FRAMES`."""
 
-    fps: float  # frames per second after the selection
-    # Body id -> (T,) height of the body's lowest point that can touch the ground.
+    fps: float  # selected frames per second
+    # Maps a body id to the heights (T,) m of the body's lowest point that can touch the ground.
     lows_m: dict[int, npt.NDArray[np.float64]]
     mass_height_m: npt.NDArray[np.float64]  # (T,) height of the centre of mass
     body_pos: FloatArray  # (T, J, 3) m; x and y are relative to the root
@@ -118,7 +118,7 @@ def is_in_air(clip: MotionClip, skeleton: Skeleton) -> bool:
 
 
 def put_on_ground(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
-    """Return the clip, moved vertically as a whole until its lowest points are on the ground."""
+    """Move the clip vertically until its lowest points are on the ground, and return it."""
     poses = _Poses.of(clip, skeleton)
     if poses is None:
         return clip
@@ -130,11 +130,11 @@ def bodies_on_ground(clips: Sequence[MotionClip], skeleton: Skeleton) -> list[st
     """Return the names of the bodies that touch the ground in clips, in the skeleton's order.
 
     A body touches the ground if its lowest point is near the ground in at least 2% of a clip's
-    frames. The limit is 3 cm for a human and proportional to the size of other robots. The result
-    is all bodies if the centre of mass comes near the ground, because the contacts of rolls and
-    crawls are seldom exact.
+    frames. The limit is 3 cm for a human, and proportional to the size for robots. If the centre of
+    mass comes near the ground, the function returns all bodies, because recorded contacts of rolls
+    and crawls are seldom exact.
     """
-    # The usual height of the centre of mass above the ground, with all joints at rest.
+    # The usual height is that of the centre of mass above the ground, with all joints at rest.
     model = skeleton.model
     qpos = model.qpos0.copy()
     qpos[2] = start_height(model, qpos) - CLEARANCE
@@ -173,7 +173,7 @@ def implausible(clip: MotionClip, skeleton: Skeleton) -> list[str]:
 
 
 def warn_of_implausible(clips: Sequence[MotionClip], skeleton: Skeleton) -> dict[str, str]:
-    """Log a line for each implausible clip, at most `_MAX_NAMED`; return the texts by name."""
+    """Log up to `_MAX_NAMED` implausible clips, and return all their descriptions by name."""
     found = {clip.name: text for clip in clips if (text := "; ".join(implausible(clip, skeleton)))}
     lines = [f"{name}: implausible: {text}" for name, text in found.items()]
     if len(lines) > _MAX_NAMED:
@@ -184,13 +184,13 @@ def warn_of_implausible(clips: Sequence[MotionClip], skeleton: Skeleton) -> dict
 
 @functools.lru_cache(maxsize=8)
 def _warn_once(lines: tuple[str, ...]) -> None:
-    """Log lines once, although a training loads its clips again for the evaluation."""
+    """Log lines only once, although a training loads its clips again for the evaluation."""
     for line in lines:
         _log.warning("%s", line)
 
 
 def _odd_flight(poses: _Poses) -> str:
-    """Describe the flight that differs most from a free fall, or return ""."""
+    """Describe the flight that differs most from a free fall, or return an empty text."""
     is_in_air = poses.lowest_m > poses.ground_m + _IN_AIR_M
     ends = np.flatnonzero(np.diff(is_in_air, prepend=False, append=False)).reshape(-1, 2)
     least = max(_FLIGHT_FRAMES, int(np.ceil(_FLIGHT_S * poses.fps)) + 1)
@@ -238,7 +238,7 @@ def _beyond_limits(clip: MotionClip, skeleton: Skeleton) -> str:
 
 
 def _ends_in_air(poses: _Poses) -> str:
-    """Describe a start or end in the air, or return ""; cycles, for example runs, may have them."""
+    """Describe a start or end in the air. The text is empty if there is none or in a cycle."""
     difference_m = np.linalg.norm(poses.body_pos[0] - poses.body_pos[-1], axis=-1)
     if difference_m.mean() < _CLOSED_M:
         return ""

@@ -1,8 +1,8 @@
 """Plots a clip: isaacgymenvs-lite plot CLIP out=FILE.png.
 
-The picture shows three graphs over time: the joint angles (rad; the length of the rotation vector
-for a ball joint), the height of the root (m), and the contacts of the feet with the ground. A clip
-of a robot needs the robot's file:
+The picture contains three graphs over time: the joint angles (rad), the height of the root (m), and
+the contacts of the feet with the ground. The angle of a ball joint is the length of its rotation
+vector. A clip of a robot needs the robot's file:
 
     isaacgymenvs-lite plot g1_walk robot=mjcf/g1.xml out=walk.png
 """
@@ -28,9 +28,9 @@ from isaacgymenvs_lite.schema import setting
 
 log = logging.getLogger(__name__)
 
-# A foot below this height over its lowest position, and slower than this, is on the ground.
+# A foot is on the ground if it is slower than this and near its lowest height.
 _CONTACT_HEIGHT_M, _CONTACT_SPEED = 0.05, 0.4
-# The figure needs this height in inches for each joint of the legend.
+# Each joint in the legend needs this height in inches.
 _LEGEND_LINE = 0.36
 
 
@@ -39,15 +39,15 @@ class PlotSettings:
     """Arguments of the command."""
 
     robot: str = setting("")
-    """The robot's MJCF or URDF; '' for a clip of a shipped humanoid."""
+    """The robot's MJCF or URDF. For a clip of a shipped humanoid it is empty."""
     out: str = setting()
-    """File to write: .png, .svg or .pdf."""
+    """Path of the output file: .png, .svg or .pdf."""
 
 
 def joint_angles(clip: MotionClip, skeleton: Skeleton) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the angle (T,) rad of each joint; angles of ball joints are unsigned.
+    """Return the angles (T,) rad of each joint, which are unsigned for ball joints.
 
-    The key is the body's name, or the joint's own name for a robot's hinge.
+    The key is the body's name, or for a robot's hinge the joint's name.
     """
     dofs = dofs_of_clip(skeleton, clip)
     angles = {}
@@ -65,9 +65,9 @@ def joint_angles(clip: MotionClip, skeleton: Skeleton) -> dict[str, npt.NDArray[
 def foot_contacts(
     clip: MotionClip, feet: Collection[str] | None = None
 ) -> dict[str, npt.NDArray[np.bool_]]:
-    """Return whether each foot is on the ground, low and slow, in each frame (T,).
+    """Return for each foot whether it is on the ground (low and slow) in the frames (T,).
 
-    `feet` are body names; None selects the bodies with "foot" in their names.
+    `feet` are body names. None selects the bodies with "foot" in their names.
     """
     places, _ = clip.global_poses()
     contacts = {}

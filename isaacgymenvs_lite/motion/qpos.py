@@ -1,7 +1,7 @@
-"""Converts between rotations of bodies, MuJoCo's qpos, and degrees of freedom (DOFs).
+"""Converts between body rotations, MuJoCo's qpos, and degrees of freedom (DOFs).
 
-DOFs are rotation vectors of ball joints and angles of hinges. qpos starts with the root's free
-joint and holds quaternions wxyz for ball joints.
+DOFs are rotation vectors of ball joints and angles of hinges. A qpos starts with the root's free
+joint, and contains quaternions wxyz of ball joints.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.kinematics import Floats, Kinematics
 
 _log = logging.getLogger(__name__)
-_ROOT = 7  # values of the free joint: position, quaternion wxyz
+_ROOT = 7  # qpos values of the free joint: position and quaternion wxyz
 
 
 def clip_to_qpos(
@@ -34,7 +34,7 @@ def clip_to_qpos(
 ) -> tuple[mujoco.MjModel, npt.NDArray[np.float64]]:
     """Return the MuJoCo model of a clip and its poses qpos (T, nq).
 
-    `skeleton` is the robot's; None stands for the shipped humanoid with the clip's bodies.
+    `skeleton` is that of the robot. None selects the shipped humanoid that has the clip's bodies.
     """
     if skeleton is None:
         file = shipped_humanoid_with(clip.body_names)
@@ -60,7 +60,7 @@ class BodyPoses:
     def at(self, qpos: FloatArray) -> tuple[Floats, Floats]:
         """Return world positions (3, J, n) m and rotations (4, J, n) xyzw at qpos (n, nq).
 
-        The last columns of qpos, which belong to objects, may be left out.
+        The last columns of qpos belong to objects and may be left out.
         """
         whole = np.repeat(self._qpos0[:, None], len(qpos), axis=1)
         whole[: qpos.shape[1]] = qpos.T
@@ -73,8 +73,8 @@ class BodyPoses:
 def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) -> MotionClip:
     """Make a clip of a robot from qpos (T, nq) by MuJoCo's kinematics.
 
-    The columns of objects may be left out. Follower joints get their angles from their leaders and
-    may be NaN in `qpos`; a warning names followers whose angles differ.
+    The columns of objects may be left out. Follower joints get their angles from their leaders, and
+    may be NaN in `qpos`. A warning names followers whose angles in `qpos` differ.
     """
     qpos = np.asarray(qpos, dtype=np.float64)
     num_columns = skeleton.qpos_addresses[-1]
@@ -101,7 +101,7 @@ def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) 
 
 
 def qpos_from_clip(skeleton: Skeleton, clip: MotionClip) -> npt.NDArray[np.float64]:
-    """Return qpos (T, nq) without objects; the clip's bodies are in the skeleton's order."""
+    """Return qpos (T, nq) without objects of a clip whose bodies have the skeleton's order."""
     if clip.dof_pos is None:
         return qpos_from_poses(skeleton, clip.root_translation, clip.local_rotation)
     return qpos_from_dofs(skeleton, clip.root_translation, clip.local_rotation[:, 0], clip.dof_pos)
@@ -125,8 +125,8 @@ def qpos_from_poses(
 ) -> npt.NDArray[np.float64]:
     """Return qpos (T, nq) for root positions (T, 3) m and local rotations (T, J, 4) xyzw.
 
-    A hinge uses only the rotation about its axis. Raises MotionFileError if a body has several
-    joints, because its rotation does not determine their angles.
+    Rotations of a hinge out of its axis are dropped. Raises MotionFileError if a body has several
+    joints, because the body's rotation does not determine their angles.
     """
     turns = turned_by_joints(skeleton, local_rotation)
     root = rotations.wxyz_from_xyzw(turns[:, 0]).numpy()
@@ -157,9 +157,9 @@ def poses_from_qpos(
 
 
 def local_poses(skeleton: Skeleton, qpos: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return positions in m and rotations (T, J, 4) xyzw in the parents' frames for qpos (T, nq).
+    """Return positions (m) and rotations (T, J, 4) xyzw in the parents' frames for qpos (T, nq).
 
-    Positions are (J, 3) if all joints are at the origins of their bodies, else (T, J, 3).
+    Positions are (J, 3) if all joints are at the origins of their bodies, and (T, J, 3) otherwise.
     """
     root = int(skeleton.model.jnt_bodyid[0])
     bodies = range(root, root + skeleton.num_bodies)
@@ -185,7 +185,7 @@ def dofs_of_clip(skeleton: Skeleton, clip: MotionClip) -> FloatArray:
 def dofs_from_rotations(skeleton: Skeleton, local_rotation: FloatArray) -> FloatArray:
     """Return the DOFs (T, num_dofs) in rad of local rotations (T, J, 4) xyzw.
 
-    Hinge angles are within pi of their rest angles. Errors: see `qpos_from_poses`.
+    Hinge angles are within pi of their rest angles. The errors are those of `qpos_from_poses`.
     """
     vectors = rotations.quat_log(turned_by_joints(skeleton, local_rotation))
     columns = []
@@ -221,7 +221,7 @@ def joint_rotations(skeleton: Skeleton, dofs: FloatArray) -> Tensor:
 def turned_by_joints(skeleton: Skeleton, local_rotation: FloatArray) -> Tensor:
     """Return the bodies' rotations (T, J, 4) xyzw relative to their rest rotations.
 
-    Errors: see `qpos_from_poses`.
+    The errors are those of `qpos_from_poses`.
     """
     if skeleton.shared_body_ids:
         names = ", ".join(skeleton.body_names[body] for body in skeleton.shared_body_ids)
@@ -239,7 +239,7 @@ def turned_by_joints(skeleton: Skeleton, local_rotation: FloatArray) -> Tensor:
 def _compose(skeleton: Skeleton, root_rotation: Tensor, joints: Tensor) -> Tensor:
     """Return local rotations (T, J, 4) for rotations of the root (T, 4) and the joints (T, G, 4).
 
-    The joints of a body rotate it one after the other from its rest rotation.
+    The joints of a body rotate the body one after another from its rest rotation.
     """
     turns = torch.from_numpy(skeleton.rest_rotation).repeat(len(joints), 1, 1)
     turned = set(_turned_at_rest(skeleton))
@@ -259,7 +259,7 @@ def _turned_at_rest(skeleton: Skeleton) -> list[int]:
 def _hinge_angle(skeleton: Skeleton, group: int, vectors: Tensor) -> Tensor:
     """Return the angles (T, 1) rad of a hinge for rotation vectors (T, 3) of its body."""
     axis = skeleton.joint_axes[group]
-    # Adding zero components would change the signs of zeros.
+    # Sums with zero components would change the signs of zeros.
     parts = [float(axis[i]) * vectors[:, i : i + 1] for i in np.flatnonzero(axis)]
     angle = torch.stack(parts).sum(dim=0) if len(parts) > 1 else parts[0]
     ref = float(skeleton.joint_refs[group])
@@ -267,7 +267,7 @@ def _hinge_angle(skeleton: Skeleton, group: int, vectors: Tensor) -> Tensor:
 
 
 def _set_along_axis(vectors: Tensor, axis: npt.NDArray[np.float64], lengths: Tensor) -> None:
-    """Set vectors (T, 3 or 4), which are zero, to lengths (T,) along an axis (3,)."""
+    """Set zero vectors (T, 3 or 4) to the vectors of lengths (T,) along an axis (3,)."""
     for i in np.flatnonzero(axis):
         vectors[:, int(i)] = float(axis[i]) * lengths
 
@@ -288,7 +288,7 @@ def body_poses(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return world positions (T, B, 3) m and rotations (T, B, 4) xyzw of bodies for qpos (T, nq).
 
-    MuJoCo's kinematics computes them. The columns of objects may be left out.
+    MuJoCo's kinematics computes the poses. The columns of objects in qpos may be left out.
     """
     ids = [model.body(body).id for body in bodies]
     data = mujoco.MjData(model)

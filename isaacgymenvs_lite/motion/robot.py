@@ -4,8 +4,8 @@
     isaacgymenvs-lite robot /robots/g1.urdf out=start.png
 
 FILE is an MJCF or URDF: an absolute path, a path relative to the working directory, or a name in
-assets/. The command reads it like task=RobotAMP. The picture shows the
-start pose from the right and from the front. It needs EGL or OSMesa, which render without a screen.
+assets/. The command reads the file like task=RobotAMP. The picture shows the start pose from the
+right and from the front. The picture needs EGL or OSMesa, which render without a screen.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ class RobotCheckSettings:
     """Arguments of the command."""
 
     out: str = setting("")
-    """The PNG to write; '' for no picture."""
+    """Path of the PNG. If it is empty, no picture is drawn."""
 
 
 def check_robot(file: str, settings: RobotCheckSettings) -> None:
-    """Log what RobotAMP uses of a file and adds to it; draw the start pose if `out` is set."""
+    """Log what RobotAMP uses from a robot's file and what it adds, and draw the start pose."""
     robot = load_clip_robot(file)
     for line in robot.prepared.describe():
         for part in textwrap.wrap(line, _COLUMNS, subsequent_indent="    "):

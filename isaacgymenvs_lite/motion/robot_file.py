@@ -1,4 +1,4 @@
-"""Helpers of the clip commands: their command line, and the robot of `robot=FILE`."""
+"""Helpers of the clip commands, which parse command lines and read the robot in `robot=FILE`."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def run_file_command(
 ) -> int:
     """Run `isaacgymenvs-lite NAME FILE ... key=value ...` and return the exit code.
 
-    `files` maps the positional arguments, in capitals, to their help texts. `action` receives the
-    positional arguments, then the settings.
+    `files` maps the positional arguments, in capitals, to their help texts. `action` is called with
+    the positional arguments and, last, the settings.
     """
     parser = argparse.ArgumentParser(prog=f"isaacgymenvs-lite {name}", description=description)
     for file, text in files.items():
@@ -58,9 +58,9 @@ class ClipRobot:
 
 
 def load_clip_robot(name: str, settings: RobotSettings | None = None) -> ClipRobot:
-    """Read the robot of a clip, or raise a ConfigError.
+    """Read the robot of a clip. Raise a ConfigError if this is impossible.
 
-    `name` is a path: absolute, or relative to the working directory or to assets/.
+    `name` is an absolute path, or a path relative to the working directory or to assets/.
     """
     folders = (Path(), paths.assets_dir())
     found = [folder / paths.user_path(name) for folder in folders]
@@ -77,7 +77,7 @@ def load_clip_robot(name: str, settings: RobotSettings | None = None) -> ClipRob
 
 
 def load_shown_clip(name: str, robot: str) -> tuple[MotionClip, Skeleton, ClipRobot | None]:
-    """Read a clip; return it with its skeleton and its robot (None for a shipped humanoid)."""
+    """Read a clip; return clip, skeleton, and robot (None for a shipped humanoid)."""
     if not robot:
         return *load_single_clip(name), None
     loaded = load_clip_robot(robot)

@@ -19,7 +19,7 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations
 
-# Model files of the shipped humanoids, relative to the assets folder, by number of DOFs.
+# Maps numbers of DOFs to the model files of the shipped humanoids in the assets folder.
 _HUMANOIDS = {28: "mjcf/amp_humanoid.xml", 31: "mjcf/amp_humanoid_sword_shield.xml"}
 SHIPPED_NUM_DOFS = tuple(_HUMANOIDS)
 _BALL, _HINGE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -29,38 +29,39 @@ _FREE_JOINT_QPOS = 7
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Bodies and joints of a robot on a free root; J bodies in depth-first order, root first.
+    """Joints and J bodies of a robot with a free root. Bodies are in depth-first order.
 
-    A joint group is one joint. A ball joint has 3 DOFs (rotation vector in rad, child frame), a
-    hinge has 1 DOF (angle in rad). A body may have several joints, which rotate it one after the
-    other, or none.
+    A joint group is one joint. A ball joint has 3 DOFs (rotation vector in rad, child frame), and a
+    hinge has 1 DOF (angle in rad). A body may have no joint, or several joints that rotate the body
+    one after another.
     """
 
     body_names: tuple[str, ...]  # J names
     parent_indices: tuple[int, ...]  # J body ids, -1 for the root; parents come before children
     # (J, 3) m, origins of bodies in their parents' frames with joints at rest. The root's row is
-    # its position in the model file, which kinematics does not use.
+    # its position in the model file, and kinematics does not use it.
     local_translation: npt.NDArray[np.float64]
     dof_body_ids: tuple[int, ...]  # G body ids, one per joint group, in DOF order
-    # (G + 1,) group g owns the DOFs dof_offsets[g] to dof_offsets[g + 1]
+    # (G + 1,) joint group g has the DOFs from dof_offsets[g] up to, but not including,
+    # dof_offsets[g + 1]
     dof_offsets: tuple[int, ...]
-    foot_body_ids: tuple[int, ...]  # K body ids, the foot of each row of `foot_corners`
-    # (K, 3) m, corners of the box geoms of bodies named *_foot, body frame
+    foot_body_ids: tuple[int, ...]  # K body ids of the feet in the rows of `foot_corners`
+    # (K, 3) m, corners of the box geoms of bodies named *_foot, in body frames
     foot_corners: npt.NDArray[np.float64]
-    # One name per DOF: the hinge's, or those of a ball joint's three actuators (abdomen_x), or
-    # <joint>_x, _y and _z.
+    # One name per DOF. The DOF of a hinge has the hinge's name. The DOFs of a ball joint have the
+    # names of its three actuators (for example abdomen_x), or <joint>_x, <joint>_y and <joint>_z.
     dof_names: tuple[str, ...]
-    # (num_dofs, 2) rad, limits of each DOF; infinite for unlimited hinges, -pi and pi for unlimited
-    # ball joints
+    # (num_dofs, 2) rad, limits of each DOF. Limits are infinite for unlimited hinges, and +-pi for
+    # unlimited ball joints.
     dof_limits: npt.NDArray[np.float64]
-    # (J, 4) xyzw, bodies' rotations in their parents' frames with joints at rest; the root's row is
-    # the identity
+    # (J, 4) xyzw, rotations of bodies in their parents' frames with joints at rest. The root's row
+    # is the identity.
     rest_rotation: npt.NDArray[np.float64]
     joint_axes: npt.NDArray[np.float64]  # (G, 3) unit vectors, child frame; 0 for ball joints
     joint_anchors: npt.NDArray[np.float64]  # (G, 3) m, centres of rotation, child frame
-    joint_refs: npt.NDArray[np.float64]  # (G,) rad, hinge angles at rest (`ref`); 0 for ball joints
+    joint_refs: npt.NDArray[np.float64]  # (G,) rad, rest angles of hinges; 0 for ball joints
     model: mujoco.MjModel  # the compiled model
-    followers: Followers | None  # the joints that follow other joints; None if there are none
+    followers: Followers | None  # joints that follow other joints, or None
 
     @property
     def num_bodies(self) -> int:
@@ -79,34 +80,35 @@ class Skeleton:
 
     @property
     def shared_body_ids(self) -> tuple[int, ...]:
-        """The ids of bodies with several joints; their rotations do not determine the DOFs."""
+        """The ids of bodies with several joints, whose body rotations do not determine the DOFs."""
         ids = self.dof_body_ids
         return tuple(sorted({body for body in ids if ids.count(body) > 1}))
 
     @property
     def qpos_addresses(self) -> tuple[int, ...]:
-        """Start of each joint group in qpos, and the end of the last group (G + 1)."""
+        """(G + 1,) first index of each joint group in qpos, and the index after the last group."""
         sizes = (4 if size == 3 else 1 for size in self.dof_sizes)
         return tuple(itertools.accumulate(sizes, initial=_FREE_JOINT_QPOS))
 
     @functools.cached_property
     def up_b(self) -> tuple[float, ...]:
-        """The upward direction (3,) in the root's frame, with the root as in its model."""
+        """The upward direction (3,) in the root's frame, for the root's rotation in the model."""
         matrix = np.zeros(9)
         mujoco.mju_quat2Mat(matrix, self.model.qpos0[3:7])
         return tuple(matrix[6:])
 
     @functools.cached_property
     def has_offset_joints(self) -> bool:
-        """Whether a joint is not at its body's origin; the body then moves in its parent."""
+        """Whether a joint is away from its body's origin, so that its rotation moves the origin."""
         return bool(self.joint_anchors.any())
 
     @functools.cached_property
     def has_simple_joints(self) -> bool:
-        """Whether the rotation of each body equals its joint's, as for the shipped humanoids.
+        """Whether each body has the same rotation as its joint, as in the shipped humanoids.
 
-        A body has at most one joint, at its origin: a ball joint, or a hinge about y with rest
-        angle 0. No body is rotated at rest. Clips of other skeletons have `dof_pos`.
+        This requires that a body has at most one joint, which is at the body's origin and is a ball
+        joint or a hinge about y with rest angle 0, and that no body is rotated at rest. Clips of
+        other skeletons have `dof_pos`.
         """
         is_hinge = np.array(self.dof_sizes) == 1
         return not (
@@ -130,7 +132,7 @@ class Skeleton:
     def from_model(cls, model: mujoco.MjModel, name: str = "the model") -> Skeleton:
         """Read the skeleton of a compiled model without the objects outside the robot's tree.
 
-        Raises ConfigError if the first joint is not the free joint of a root, or the robot has a
+        Raises ConfigError if the first joint is not the free joint of a root, or if the robot has a
         slide joint or a loop. Messages contain `name`.
         """
         if model.njnt == 0 or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
@@ -139,11 +141,12 @@ class Skeleton:
                 " is expected (the preparation in isaacgymenvs_lite.robots adds one)"
             )
         root = int(model.jnt_bodyid[0])
-        # The ids of a tree's bodies are consecutive; ours count from the root.
+        # MuJoCo's ids of the bodies in a tree are consecutive. The skeleton's ids count from the
+        # root.
         num_bodies = int(np.count_nonzero(model.body_rootid == root))
         bodies = slice(root, root + num_bodies)
         of_robot = (model.jnt_bodyid >= root) & (model.jnt_bodyid < root + num_bodies)
-        joints = np.flatnonzero(of_robot)[1:]  # without the free joint
+        joints = np.flatnonzero(of_robot)[1:]  # all joints except the free joint
         for joint in joints[model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE]:
             raise ConfigError(
                 f"{name}: joint '{model.joint(joint).name}' is a slide; a clip moves hinges and"
@@ -193,7 +196,8 @@ def skeleton_for_num_dofs(num_dofs: int) -> Skeleton:
 def shipped_humanoid_with(body_names: Sequence[str]) -> str | None:
     """Return the model file, relative to the assets folder, of the humanoid with these bodies.
 
-    The order of the names does not matter. None means that no shipped humanoid has these bodies.
+    The order of the names does not matter. If no shipped humanoid has these bodies, the result is
+    None.
     """
     for num_dofs, file in _HUMANOIDS.items():
         if set(skeleton_for_num_dofs(num_dofs).body_names) == set(body_names):
@@ -234,7 +238,8 @@ def _names_and_limits(
             names.append(name)
             limits.append((low, high) if is_limited else (-math.inf, math.inf))
             continue
-        # MuJoCo limits a ball joint's angle; three actuators may limit its axes.
+        # MuJoCo limits only the total angle of a ball joint, but its three actuators may limit the
+        # axes.
         reach = high if is_limited else math.pi
         drives = np.flatnonzero(
             (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)

@@ -4,8 +4,9 @@
     isaacgymenvs-lite strip g1_walk walk.png robot=mjcf/g1.xml
 
 CLIP is a motion file of any format, or the name of a shipped clip. A clip of a robot needs the
-robot's file, robot=. The strip shows the first `seconds` (default: all) in `frames` poses
-(default: 8), from the right (azimuth=90). It needs EGL or OSMesa, which render without a screen.
+robot's file, robot=FILE. The strip shows the first `seconds` (default: the whole clip) in `frames`
+poses (default: 8), from the right (azimuth=90). The command needs EGL or OSMesa, which render
+without a screen.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from isaacgymenvs_lite.schema import setting
 
 _FRAME_WIDTH, _FRAME_HEIGHT = 200, 320
 ASPECT = _FRAME_WIDTH / _FRAME_HEIGHT
-"""Width of one pose's picture divided by its height."""
+"""Width divided by height of the picture of one pose."""
 _NUM_COLOURS = 128
 
 
@@ -36,7 +37,7 @@ def draw_poses(
 ) -> Image:
     """Draw poses (n, nq) side by side in a picture (height, n * width, 3).
 
-    Each pose has its own camera. The default view is a humanoid's, from the right.
+    Each pose has a separate camera. The default view shows a humanoid from the right.
     """
     with SceneRenderer(model, _FRAME_WIDTH, _FRAME_HEIGHT, view=view or View()) as renderer:
         return np.concatenate([renderer.draw(pose) for pose in qpos], axis=1)
@@ -44,7 +45,7 @@ def draw_poses(
 
 def save_png(path: str | Path, image: Image) -> Path:
     """Write a picture (height, width, 3) with 128 colours, which makes a small file."""
-    import PIL.Image  # few commands need it
+    import PIL.Image  # few commands need this package
 
     path = Path(path)
     try:
@@ -59,17 +60,17 @@ class StripSettings:
     """Arguments of the command."""
 
     robot: str = setting("")
-    """The robot's MJCF or URDF; '' for a clip of a shipped humanoid."""
+    """The robot's MJCF or URDF. For a clip of a shipped humanoid it is empty."""
     seconds: float = setting(0.0, minimum=0)
-    """Time to show; 0 shows the whole clip."""
+    """Shown time (s) from the start of the clip. 0 selects the whole clip."""
     frames: int = setting(8, minimum=1)
     """Number of poses."""
     azimuth: float = setting(90.0)
-    """Degrees: 90 from the right, 180 from the front."""
+    """Direction of the camera in degrees: 90 from the right, 180 from the front."""
 
 
 def draw_strip(name: str, out: str, settings: StripSettings) -> Path:
-    """Write a PNG of poses of a clip, evenly spaced in time, and return its path."""
+    """Write a PNG of evenly spaced poses of a clip, and return the path of the PNG."""
     clip, _, robot = load_shown_clip(name, settings.robot)
     model, poses = clip_to_qpos(clip, robot.skeleton if robot else None)
     step_s = (settings.seconds or clip.length_s) / settings.frames

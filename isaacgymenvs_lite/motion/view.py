@@ -5,8 +5,8 @@
     isaacgymenvs-lite view run.npy out=run.webp seconds=2 azimuth=180
     isaacgymenvs-lite view g1_walk robot=mjcf/g1.xml out=walk.mp4
 
-CLIP is a motion file of any format, or the name of a shipped clip. A clip of a robot needs the
-robot's MJCF or URDF, robot=: a path or a name in assets/.
+CLIP is a motion file of any format, or the name of a shipped clip. A clip of a robot needs
+robot=FILE, a path of the robot's MJCF or URDF or a name in assets/.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from isaacgymenvs_lite.schema import setting
 log = logging.getLogger(__name__)
 
 WIDTH, HEIGHT = 480, 480
-"""Pixels of the video."""
+"""Size of the video in pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,13 +39,13 @@ class ViewSettings:
     """Arguments of the command."""
 
     robot: str = setting("")
-    """The robot's MJCF or URDF; '' for a clip of a shipped humanoid."""
+    """The robot's MJCF or URDF. For a clip of a shipped humanoid it is empty."""
     out: str = setting("")
-    """File to write, .mp4 or .webp; '' shows the clip in a window."""
+    """Path of the .mp4 or .webp to write. If it is empty, a window shows the clip."""
     seconds: float = setting(0.0, minimum=0)
-    """Time to show; 0 is the clip's length. A clip that ends starts again."""
+    """Shown time (s), in which a short clip repeats. 0 selects the clip's length."""
     azimuth: float = setting(90.0)
-    """Degrees: 90 from the right, 180 from the front."""
+    """Direction of the camera in degrees: 90 from the right, 180 from the front."""
 
 
 def view_clip(name: str, settings: ViewSettings) -> None:

@@ -1,4 +1,4 @@
-"""The tasks of this project, by the `name` in their task files."""
+"""The tasks of this project, registered under the `name` in their task files."""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@
 The task keeps these quirks, because policies and curves depend on them:
 
 - Yaw and roll jump between 0 and 2 pi.
-- `angle_to_target` is wrong, see `locomotion`.
-- Only upper joint limits count in the cost of joints at their limits.
+- `angle_to_target` is wrong (see the module `locomotion`).
+- The cost of joints at their limits ignores the lower limits.
 - The energy cost uses the scaled joint velocity.
 """
 
@@ -42,8 +42,8 @@ def compute_ant_observations(
     `heading_proj`. Then come 8 joint positions scaled to [-1, 1], 8 joint velocities, 4 x 6 contact
     forces and torques on the feet, and 8 actions.
 
-    Joint quantities are (N, 8) in rad and rad/s, their limits (8,). The foot wrenches (24, N) are
-    in N and Nm, in the foot frames.
+    Joint quantities (N, 8) are in rad and rad/s, and joint limits (8,) in rad. The foot wrenches
+    (24, N) are in the foot frames, in newton and Nm.
     """
     return torch.cat(
         (
@@ -71,7 +71,7 @@ def compute_ant_reward(
 ) -> Terms:
     """Return the reward terms (N,).
 
-    `progress_m_s` (N,) is the speed towards the target. The other tensors are (N, 8), scaled as in
+    `progress_m_s` (N,) is the speed towards the target. The other tensors (N, 8) are scaled like
     the observation.
     """
     terms = {

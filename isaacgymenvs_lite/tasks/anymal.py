@@ -2,12 +2,12 @@
 
 The task keeps these quirks, because policies and curves depend on them:
 
-- Start joint angles are the default angles times random factors.
+- The start angle of each joint is its default angle times a random factor.
 - A command lasts for a whole episode.
 - The observed gravity is rotated the wrong way, unless `projectedGravityAsPublished` is False.
 
-Two quirks are gone. IsaacGymEnvs ends an episode in its first step if the previous one ended by a
-fall, because the forces are stale. IsaacGymEnvs also limits joint speeds to 20 rad/s.
+Two quirks are removed. First, IsaacGymEnvs reads stale contact forces after a fall and therefore
+ends the following episode in its first step. Second, IsaacGymEnvs limits joint speeds to 20 rad/s.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ class AnymalConfig(VelocityTrackingConfig):
 
 
 def rotate_down(root_rot: Tensor) -> Tensor:
-    """Return (0, 0, -1) rotated by quaternions (N, 4) xyzw, (3, N).
+    """Rotate the vector (0, 0, -1) by quaternions (N, 4) xyzw, and return the results (3, N).
 
-    This is the "projected gravity" of IsaacGymEnvs. After a small rotation about z it equals the
+    IsaacGymEnvs calls the result "projected gravity". For a small heading, the result is the
     gravity in the base frame with opposite signs of x and y.
     """
     x, y, z, w = root_rot.unbind(-1)
@@ -68,8 +68,8 @@ def compute_anymal_observations(
     """Return the observations (N, 48).
 
     First come linear and angular velocity, gravity and 3 commands. Then come 12 joint positions
-    relative to the default angles, 12 joint velocities, and 12 actions. All except gravity and
-    actions are scaled. The shapes of the arguments are (3, N) and (12, N).
+    relative to the default angles, 12 joint velocities, and 12 actions. Gravity and actions are not
+    scaled. The arguments have the shapes (3, N) and (12, N).
     """
     return torch.cat((*proprioception(motion, commands, dof_pos, dof_vel, cfg), actions)).t()
 
@@ -77,10 +77,10 @@ def compute_anymal_observations(
 def compute_anymal_reward(
     motion: BaseMotion, commands: Tensor, torques: Tensor, cfg: LearnConfig, dt: float
 ) -> Terms:
-    """Return the reward terms (N,), whose sum is not negative.
+    """Return the reward terms (N,), whose sum is at least 0.
 
-    `commands` (3, N) are in m/s and rad/s, `torques` (12, N) in Nm. The weights of `cfg` are per
-    second, and `dt` is `task.sim.dt` (s), as in IsaacGymEnvs.
+    `commands` (3, N) are in m/s and rad/s, and `torques` (12, N) are in Nm. As in IsaacGymEnvs, the
+    weights of `cfg` are per second, and `dt` is `task.sim.dt` (s).
     """
     along, turning = compute_tracking_rewards(commands, motion)
     terms = {
@@ -141,7 +141,7 @@ class Anymal(VelocityTrackingTask):
         )
 
     def compute_failures(self) -> Tensor:
-        """Return (N,) bool: the base or a knee is in contact."""
+        """Return where (N,) the base or a knee is in contact."""
         return self.in_contact(self._untouchable_ids).any(0)
 
     def reset_state(self, env_ids: Tensor) -> None:

@@ -1,23 +1,24 @@
 """AnymalTerrain: ANYmal C walks over rough ground with a curriculum, as in IsaacGymEnvs.
 
-The task keeps these quirks: joint positions are observed without subtracting the default angles. A
-robot that masters the last level starts again at the first. The heading command is zero where the
-velocity command is zero.
+The task keeps three quirks. Joint positions are observed without subtracting the default angles. A
+robot that masters the last level starts again at the first level. The heading command is zero where
+the velocity command is zero.
 
-Three more quirks need a setting. `control.extraSimulatorCall` adds a fifth simulator call to a
-control step of four. `learn.airTimeAsPublished` counts a quarter of the air time of feet.
-`terrain.demotionAsPublished` demotes robots by the commands of other robots.
+Three more quirks are optional. `control.extraSimulatorCall` adds a fifth simulator call to the four
+calls of a control step. `learn.airTimeAsPublished` counts only a quarter of the time that a foot is
+in the air. `terrain.demotionAsPublished` lets the commands of other robots decide which level a
+robot goes back to.
 
-Other quirks are gone: missing time-outs, first observations with quantities of the previous
-episode, pushes despite `learn.pushRobots=False`, and the joint speed limit of 20 rad/s. Vertical
-walls are slopes over 0.1 m of a height field.
+Other quirks are removed. The task reports time-outs. First observations contain no quantities of
+the previous episode. `learn.pushRobots=False` turns pushes off. Joint speeds are not limited to 20
+rad/s. Vertical walls are slopes over 0.1 m, because the ground is a height field.
 
-`env.controlFrequencyInv` multiplies the duration of a control step. IsaacGymEnvs instead adds
-simulator calls after the last torque, and no time scale counts them.
+`env.controlFrequencyInv` multiplies the duration of a control step. In IsaacGymEnvs it instead adds
+simulator calls that keep the last torque and that the duration of a control step ignores.
 
-The PD controller is a drive of the model. Euler's method computes its torque from positions and
-velocities at the start of a simulator call. IsaacGymEnvs computes the same torque in Python before
-each call. It is limited to 80 Nm.
+The PD controller is a drive of the model. Euler's method computes the drive's torque from positions
+and velocities at the start of a simulator call. IsaacGymEnvs computes the same torque in Python
+before each call. The torque is limited to 80 Nm.
 """
 
 from __future__ import annotations
@@ -70,14 +71,15 @@ class AnymalTerrain(VelocityTrackingTask):
     """N robots with 188 observations and 12 joint position targets.
 
     All environments share one ground and one world frame. If episodes end in a step,
-    `infos["episode"]` holds the mean of each reward term per second of the longest episode,
-    `rew_<term>`. It also holds the mean level of all robots, `terrain_level`.
+    `infos["episode"]` holds their mean reward terms as `rew_<term>` and the mean level of all
+    robots as `terrain_level`. Each term is summed over its episode and divided by the duration of
+    the longest possible episode (s).
 
     Attributes:
         terrain: the ground.
         curriculum: the tile of each robot.
-        commands: (N, 4) velocity along x and y of the base (m/s), yaw rate (rad/s), and heading
-            (rad), from which the yaw rate is computed.
+        commands: (N, 4) velocities along x and y of the base (m/s), yaw rate (rad/s), and heading
+            (rad). The yaw rate is computed from the heading.
     """
 
     settings_class = AnymalTerrainConfig
@@ -165,7 +167,7 @@ class AnymalTerrain(VelocityTrackingTask):
         super().pre_physics_step(actions)
 
     def post_physics_step(self) -> None:
-        """Run a step that starts new episodes after the reward and before the observation."""
+        """Compute the reward, start new episodes, and compute the observation."""
         self.extras.clear()
         self.progress_buf += 1
         self.randomize_buf += 1
@@ -185,7 +187,7 @@ class AnymalTerrain(VelocityTrackingTask):
         return self._final_observations
 
     def update_state(self) -> None:
-        """Read contacts, push the robots when a push is due, and update the yaw rate commands."""
+        """Read contacts, apply pushes that are due, and update the commanded yaw rates."""
         super().update_state()
         sim = self.simulation
         forces = sim.contact_forces.permute(2, 1, 0)
@@ -197,13 +199,13 @@ class AnymalTerrain(VelocityTrackingTask):
         )
         self._episode = {}
         if self.env_cfg.learn.push_robots and (self.control_steps + 1) % self.push_interval == 0:
-            # A new state has no contact forces, so they are read before the push.
+            # A push clears the contact forces, so the forces are read before the push.
             velocities_w = uniform(self.reset_buf, -_PUSH_M_S, _PUSH_M_S, (2,))
             set_planar_velocities(sim, velocities_w)
         self._steer()
 
     def _steer(self) -> None:
-        """Command the yaw rates that lead to the commanded headings."""
+        """Compute the yaw rate commands from the heading commands."""
         heading = calc_heading(self.simulation.root_states[:, 3:7])
         error = normalize_angle(self._command_planes[_HEADING] - heading)
         rate = error.mul_(_YAW_RATE_PER_RAD).clamp_(-_MAX_YAW_RATE_RAD_S, _MAX_YAW_RATE_RAD_S)
@@ -230,14 +232,14 @@ class AnymalTerrain(VelocityTrackingTask):
         )
 
     def add_sensor_noise(self, observations: Tensor) -> Tensor:
-        """Return observations (n, 188) with noise."""
+        """Add noise to observations (n, 188), and return the sums."""
         if not self.env_cfg.learn.add_noise:
             return observations
         noise = torch.rand_like(observations).mul_(2.0).sub_(1.0)
         return noise.mul_(self._noise_widths).add_(observations)
 
     def compute_reward_terms(self) -> Terms:
-        """Return the reward terms (N,); their sum without the term `terminal` is not negative."""
+        """Return the reward terms (N,). Without the term `terminal`, their sum is at least 0."""
         sim, learn, step_s = self.simulation, self.env_cfg.learn, self.control_dt_s
         step = WalkStep(
             motion=self.base_motion(),
@@ -261,13 +263,13 @@ class AnymalTerrain(VelocityTrackingTask):
         }
 
     def compute_failures(self) -> Tensor:
-        """Return (N,) bool: the base is in contact, or a knee if `allowKneeContacts` is False."""
+        """Return where (N,) the base or, if `allowKneeContacts` is False, a knee is in contact."""
         if self.env_cfg.learn.allow_knee_contacts:
             return self._base_in_contact
         return self._base_in_contact | self._knees_in_contact.any(0)
 
     def infos(self) -> dict[str, Any]:
-        """Return the means of the ended episodes; see the class docstring."""
+        """Return the means of the ended episodes (see the class docstring)."""
         return {"episode": self._episode} if self._episode else {}
 
     def reset_state(self, env_ids: Tensor) -> None:
@@ -290,7 +292,7 @@ class AnymalTerrain(VelocityTrackingTask):
     def _conclude(self, env_ids: Tensor) -> None:
         """Update the levels and `infos["episode"]` for episodes that ended in this step."""
         ended = (self.done_buf != Done.RUNNING) & (self.progress_buf > 0)
-        # A diverged robot has lost its position.
+        # The position of a diverged robot is invalid.
         ended &= ~self.simulation.failed
         env_ids = env_ids[ended[env_ids]]
         if len(env_ids) == 0:
@@ -305,11 +307,11 @@ class AnymalTerrain(VelocityTrackingTask):
         }
 
     def get_env_state(self) -> dict[str, Tensor]:
-        """Return the levels (N,) of the robots, for a resumed training."""
+        """Return the levels (N,) of the robots, which a resumed training continues with."""
         return {"terrain_levels": self.curriculum.levels.clone()}
 
     def set_env_state(self, env_state: Any) -> None:
-        """Restore the levels, unless the ground or the number of robots differs."""
+        """Restore the levels if the ground and the number of robots are the same."""
         levels = env_state.get("terrain_levels") if isinstance(env_state, dict) else None
         if levels is None:
             return

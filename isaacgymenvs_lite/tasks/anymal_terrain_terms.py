@@ -1,6 +1,7 @@
 """Settings, height scan, observations and rewards of AnymalTerrain, as in IsaacGymEnvs.
 
-The functions are pure. N is the last dimension of their tensors: (3, N), (12, N).
+The functions are pure. The last dimension of all tensors is the number N of robots, for example (3,
+N).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from isaacgymenvs_lite.tasks.terrain.grid import HORIZONTAL_M, VERTICAL_M, Terra
 
 @dataclass(frozen=True, kw_only=True)
 class TerrainLearnConfig(LearnConfig):
-    """`task.env.learn` of AnymalTerrain; each `..._noise` is half the width of uniform noise."""
+    """`task.env.learn` of AnymalTerrain. Each `..._noise` is half the width of uniform noise."""
 
     torque_reward: float = setting(-0.00002, key="torqueRewardScale")
     lin_vel_z_reward: float = setting(-4.0, key="linearVelocityZRewardScale")
@@ -72,7 +73,7 @@ class TerrainControlConfig(ControlConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class HeadingCommandsConfig(CommandRangesConfig):
-    """`task.env.randomCommandVelocityRanges` of AnymalTerrain: lowest and highest command."""
+    """`task.env.randomCommandVelocityRanges` of AnymalTerrain, with lowest and highest commands."""
 
     linear_x: tuple[float, ...] = setting((-1.0, 1.0), length=2)  # m/s
     yaw: tuple[float, ...] = setting((-3.14, 3.14), length=2)  # rad, heading
@@ -91,35 +92,35 @@ class AnymalTerrainConfig(VelocityTrackingConfig):
     learn: TerrainLearnConfig = field(default_factory=TerrainLearnConfig)
 
 
-_STANDING_M = 0.5  # heights are observed relative to it
+_STANDING_M = 0.5  # subtracted from observed heights
 _WANTED_HEIGHT_M = 0.52
 _WANTED_AIR_TIME_S = 0.5
-_WALKING_M_S = 0.1  # smaller commands earn no air time
+_WALKING_M_S = 0.1  # slower commands earn no reward for air time
 _STUMBLE_SIDE_N, _STUMBLE_UP_N = 5.0, 1.0
 TERM_NAMES = (
     *("lin_vel_xy", "lin_vel_z", "ang_vel_z", "ang_vel_xy", "orient", "torques", "joint_acc"),
     *("base_height", "air_time", "collision", "stumble", "action_rate", "hip"),
 )
-"""Names of the reward terms in IsaacGymEnvs' logs."""
+"""IsaacGymEnvs logs the reward terms under these names."""
 _HIPS = slice(0, 12, 3)  # first joint of each leg
-# Distances in front and behind, left and right, in the heading frame (m).
+# Distances (m) of scanned points along x and along y of the heading frame.
 _SIDE_X = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 _SIDE_Y = (0.1, 0.2, 0.3, 0.4, 0.5)
 NUM_POINTS = 4 * len(_SIDE_X) * len(_SIDE_Y)
 
 
 def scan_points() -> Tensor:
-    """Return the points (2, 140) around a robot (m) in IsaacGymEnvs' order: y varies fastest."""
+    """Return the scanned points (2, 140) m around a robot. As in IsaacGymEnvs, y varies fastest."""
     x = torch.tensor([*(-v for v in reversed(_SIDE_X)), *_SIDE_X])
     y = torch.tensor([*(-v for v in reversed(_SIDE_Y)), *_SIDE_Y])
     return torch.stack(torch.meshgrid(x, y, indexing="ij")).flatten(1)
 
 
 class HeightScan:
-    """Measures the ground around N robots.
+    """Measures the height of the ground around N robots.
 
-    The height at a point is the lower of two opposite corners of its grid square, as in
-    IsaacGymEnvs.
+    As in IsaacGymEnvs, the height at a point is the lower of two opposite corners of its grid
+    square.
     """
 
     def __init__(self, terrain: Terrain, device: torch.device) -> None:
@@ -133,7 +134,7 @@ class HeightScan:
     def __call__(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
         """Return the ground heights (140, N) in m around robots at `root_pos` (N, 3) m.
 
-        Of `root_rot` (N, 4) xyzw only z and w are used, as a rotation about z.
+        Only the rotation about z that z and w of `root_rot` (N, 4) xyzw determine is used.
         """
         z, w = root_rot[:, 2], root_rot[:, 3]
         length = (z * z + w * w).clamp(min=1e-12)
@@ -149,7 +150,7 @@ class HeightScan:
 
 
 def noise_widths(cfg: TerrainLearnConfig) -> Tensor:
-    """Return half the widths (188,) of the observation noise, in observation units."""
+    """Return half the widths (188,) of the uniform noise on scaled observations."""
     parts = (
         (3, cfg.lin_vel_noise * cfg.lin_vel_scale),
         (3, cfg.ang_vel_noise * cfg.ang_vel_scale),
@@ -176,9 +177,9 @@ def compute_anymal_terrain_observations(
     """Return the observations (N, 188) without noise.
 
     First come linear and angular velocity, gravity and 3 commands. Then come 12 joint positions and
-    velocities, 140 heights, and 12 actions. Joint positions are absolute, unlike Anymal's. The
-    shapes of the arguments are (3 or more, N) and (12, N). `base_height` (N,) and the heights
-    `ground` (140, N) are in m.
+    velocities, 140 heights, and 12 actions. The default angles are not subtracted from the joint
+    positions. The arguments have the shapes (3 or more, N) and (12, N). `base_height` (N,) and the
+    heights `ground` (140, N) are in m.
     """
     heights = (base_height - _STANDING_M - ground).clamp_(-1.0, 1.0).mul_(cfg.height_scale)
     return torch.cat(
@@ -187,10 +188,10 @@ def compute_anymal_terrain_observations(
 
 
 def compute_air_time(air_time_s: Tensor, on_ground: Tensor, dt: float) -> tuple[Tensor, Tensor]:
-    """Return new air times (F, N) s, and how much the landing feet exceeded 0.5 s in total, (N,) s.
+    """Return the air times (F, N) s after a step, and their excess over 0.5 s at landings, (N,) s.
 
-    `air_time_s` (F, N) is the state before the step, `on_ground` (F, N) bool the contacts in the
-    step, and `dt` the duration of the step (s).
+    `air_time_s` (F, N) are the air times before the step, `on_ground` (F, N) says which feet touch
+    the ground, and `dt` is the duration of the step (s). The excess is summed over landing feet.
     """
     lands = on_ground & (air_time_s > 0.0)
     air_time_s = air_time_s + dt
@@ -211,12 +212,12 @@ class WalkStep(NamedTuple):
     actions: Tensor  # (12, N)
     last_actions: Tensor  # (12, N) of the previous step
     knees_in_contact: Tensor  # (K, N) bool
-    foot_forces: Tensor  # (3, F, N) N, in world axes
+    foot_forces: Tensor  # (3, F, N) newton, in world axes
     air_time_beyond_s: Tensor  # (N,) see `compute_air_time`
 
 
 def compute_anymal_terrain_reward(step: WalkStep, cfg: TerrainLearnConfig, dt: float) -> Terms:
-    """Return the reward terms (N,) by IsaacGymEnvs' names.
+    """Return the reward terms (N,) under their names in IsaacGymEnvs.
 
     The weights of `cfg` are per second, and `dt` is the time of a control step (s).
     """

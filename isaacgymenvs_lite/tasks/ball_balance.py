@@ -1,12 +1,13 @@
 """BallBalance: a tray on three legs balances a ball that falls onto it, as in IsaacGymEnvs.
 
-The task keeps two quirks: the three sensors are observed component by component, and of the forces
-only the x component is observed.
+The task keeps two quirks from IsaacGymEnvs. The observation lists each torque component of all
+three sensors before the next component. Of the three force components, the observation contains
+only x.
 
-MuJoCo has no counterpart of Isaac Gym's force sensors. The three sensors measure the contact force
-and torque on the tray instead, in its frame and about three points. They exclude the forces of legs
-and joints. The feet are pinned to the ground and do not collide with it. The ball has no angular
-damping.
+MuJoCo has no counterpart of Isaac Gym's force sensors. The three sensors instead measure the
+contact force on the tray and its torque about three points, in the tray's frame. The sensors
+exclude the forces of legs and joints. The feet are pinned to the ground and do not collide with it.
+The ball has no angular damping.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _SENSOR_ANGLES_RAD = (0.0, math.radians(120.0), math.radians(240.0))
 
 _START_DISTANCE_M = (0.001, 0.5)  # from the vertical axis of the tray
 _START_HEIGHT_M = (1.0, 2.0)
-_MAX_START_SPEED_M_S = 5.0  # towards the axis, at the largest distance
+_MAX_START_SPEED_M_S = 5.0  # towards the axis from the largest start distance
 _START_FALL_M_S = 5.0
 
 
@@ -60,8 +61,9 @@ def compute_bbot_observations(
     """Return the observations (N, 24).
 
     First come positions (rad) and velocities (rad/s) of the driven joints, and position (m) and
-    velocity (m/s) of the ball, (N, 3) each. Then come the sensors' forces along x (3, N), and
-    torques (3, 3, N) about x, y and z. They are in the tray's frame and divided by 20.
+    velocity (m/s) of the ball, (N, 3) each. Then come the sensors' forces (3, N) along x and
+    torques (3, 3, N) about x, y and z. Forces and torques are in the tray's frame and divided by
+    20.
     """
     sensors = torch.cat((sensor_force_x, sensor_torques.flatten(0, 1))).t()
     return torch.cat((dof_pos, dof_vel, ball_pos, ball_vel, sensors * _SENSOR_SCALE), dim=-1)
@@ -70,8 +72,8 @@ def compute_bbot_observations(
 def compute_bbot_reward(ball_pos: Tensor, ball_vel: Tensor) -> Terms:
     """Return the terms (N,) of the reward 1 / (1 + distance) / (1 + speed).
 
-    `near` is the reward of a ball at rest and is largest on the axis, 0.7 m above the ground.
-    `speed` is the reduction by the ball's speed.
+    `near` is the reward of a ball at rest, and is largest on the tray's axis 0.7 m above the
+    ground. `speed` is the change of the reward by the ball's speed.
     """
     x, y, z = ball_pos.unbind(-1)
     near = 1.0 / (1.0 + torch.sqrt(x * x + y * y + (z - _PAID_HEIGHT_M).square()))
@@ -80,12 +82,12 @@ def compute_bbot_reward(ball_pos: Tensor, ball_vel: Tensor) -> Terms:
 
 
 def compute_bbot_failures(ball_height: Tensor) -> Tensor:
-    """Return (N,) bool: the ball (height in m) fell off the tray."""
+    """Return where (N,) the ball, whose height is in m, fell off the tray."""
     return ball_height < _LOST_HEIGHT_M
 
 
 def draw_ball_states(env_ids: Tensor) -> Tensor:
-    """Return states (n, 13) of balls that fall onto the tray and move towards its middle."""
+    """Draw states (n, 13) of balls that fall onto the tray and move towards its middle."""
     nearest, farthest = _START_DISTANCE_M
     distance = uniform(env_ids, nearest, farthest)
     angle = uniform(env_ids, -math.pi, math.pi)
@@ -103,7 +105,7 @@ def draw_ball_states(env_ids: Tensor) -> Tensor:
 class BallBalance(MjcfTask):
     """N trays with balls, 24 observations and 3 actions.
 
-    An action is the speed of the position target of a lower leg's joint.
+    Each action is the speed at which the position target of a lower leg's joint moves.
     """
 
     settings_class = BallBalanceConfig
@@ -139,7 +141,7 @@ class BallBalance(MjcfTask):
         self.targets = torch.zeros(self.num_envs, self.num_actions, device=self.device)  # rad
 
     def compute_controls(self, actions: Tensor) -> Tensor:
-        """Return the position targets (N, 3) in rad, moved by the actions."""
+        """Move the position targets (N, 3) in rad by the actions, and return them."""
         self.targets += actions * (self.env_cfg.action_speed_scale * self.sim_dt_s)
         return self.targets.clamp_(self._lower, self._upper)
 
@@ -152,7 +154,7 @@ class BallBalance(MjcfTask):
         """See `compute_bbot_observations`."""
         sim = self.simulation
         ball = self._ball_states()
-        # (6, N) in the tray's frame, about its middle
+        # The wrench (6, N) is in the tray's frame, about the tray's middle.
         wrench = measure_wrenches(self.simulation, ("tray",))[:, 0]
         return compute_bbot_observations(
             sim.dof_pos.index_select(1, self._driven),

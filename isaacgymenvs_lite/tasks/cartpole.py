@@ -1,6 +1,6 @@
-"""Cartpole: pushing a cart keeps a hinged pole upright, as in IsaacGymEnvs.
+"""Cartpole: a policy pushes a cart to keep a hinged pole upright, as in IsaacGymEnvs.
 
-The model is this project's; the published URDF file is not read.
+The model is a file of this project instead of the published URDF file.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ class CartpoleConfig(TaskConfig):
     """`task.env` of Cartpole."""
 
     reset_dist: float = setting(3.0, key="resetDist", above=0)  # m
-    max_effort: float = setting(400.0, key="maxEffort", minimum=0)  # N
+    max_effort: float = setting(400.0, key="maxEffort", minimum=0)  # newton
 
 
 def compute_cartpole_observations(
     cart_pos: Tensor, cart_vel: Tensor, pole_angle: Tensor, pole_vel: Tensor
 ) -> Tensor:
-    """Return the observations (N, 4) of quantities (N,) in m, m/s, rad, rad/s."""
+    """Return the observations (N, 4) from quantities (N,) in m, m/s, rad, rad/s."""
     return torch.stack((cart_pos, cart_vel, pole_angle, pole_vel), dim=-1)
 
 
 def compute_cartpole_reward(
     pole_angle: Tensor, pole_vel: Tensor, cart_vel: Tensor, cart_pos: Tensor, reset_dist: float
 ) -> Terms:
-    """Return the reward terms (N,): upright and slow, or a failure.
+    """Return the reward terms (N,) for an upright, slow pole and cart, or for a failure.
 
-    Quantities (N,) are in rad, rad/s, m/s and m; a pole angle of 0 is upright.
+    The quantities (N,) are in rad, rad/s, m/s and m. A pole with the angle 0 is upright.
     """
     terms = {
         "upright": 1.0 - pole_angle.square(),
@@ -57,7 +57,7 @@ def compute_cartpole_reward(
 
 
 def compute_cartpole_failures(pole_angle: Tensor, cart_pos: Tensor, reset_dist: float) -> Tensor:
-    """Return (N,) bool: the cart (m) is too far away or the pole (rad) fell."""
+    """Return where (N,) the cart (m) is too far away or the pole (rad) fell."""
     return (cart_pos.abs() > reset_dist) | (pole_angle.abs() > _MAX_ANGLE_RAD)
 
 
@@ -80,12 +80,12 @@ class Cartpole(MjcfTask):
         return {"cart_pos": 1, "cart_vel": 1, "pole_angle": 1, "pole_vel": 1}
 
     def action_scaling(self) -> ActionScaling:
-        """Return the mapping from actions to the force on the cart (N)."""
+        """Return the mapping from actions to the force on the cart (newton)."""
         effort = torch.tensor([self.env_cfg.max_effort])
         return ActionScaling("N", torch.zeros(1), effort)
 
     def compute_controls(self, actions: Tensor) -> Tensor:
-        """Return the forces (N, 1) on the carts in N."""
+        """Return the forces (N, 1) on the carts in newton."""
         return actions * self.env_cfg.max_effort
 
     def compute_obs(self) -> Tensor:
@@ -106,7 +106,7 @@ class Cartpole(MjcfTask):
         return compute_cartpole_failures(pos[:, 1], pos[:, 0], self.env_cfg.reset_dist)
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Place the carts near the middle, with poles nearly upright, all nearly at rest."""
+        """Place carts with nearly upright poles near the middle, and nearly at rest."""
         n = len(env_ids)
         pos = uniform(env_ids, -_START_POS, _START_POS, (2,))
         vel = uniform(env_ids, -_START_VEL, _START_VEL, (2,))

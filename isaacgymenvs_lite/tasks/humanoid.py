@@ -1,8 +1,8 @@
-"""Humanoid: a body of 21 hinges learns to run along +x, as in IsaacGymEnvs.
+"""Humanoid: a body with 21 hinges learns to run along +x, as in IsaacGymEnvs.
 
 The task keeps two quirks: `angle_to_target` is wrong (see `locomotion`), and the energy cost uses
-the scaled joint velocity. MuJoCo has no counterpart of the body's angular damping (0.01 1/s) and
-largest angular velocity (100 rad/s).
+the scaled joint velocity. In MuJoCo, the body has no angular damping (0.01 1/s in IsaacGymEnvs) and
+no largest angular velocity (100 rad/s in IsaacGymEnvs).
 """
 
 from __future__ import annotations
@@ -57,13 +57,14 @@ def compute_humanoid_observations(
 ) -> Tensor:
     """Return the observations (N, 108).
 
-    First come height, velocities in the torso frame, yaw, roll and angle to the target within +-pi,
-    `up_proj` and `heading_proj`. Then come 21 joint positions scaled to [-1, 1], 21 joint
-    velocities, 21 joint torques, 2 x 6 contact forces and torques on the feet, and 21 actions.
+    First come height, velocities in the torso frame, three angles within +-pi (yaw, roll, angle to
+    the target), `up_proj` and `heading_proj`. Then come 21 joint positions scaled to [-1, 1], 21
+    joint velocities, 21 joint torques, 2 x 6 contact forces and torques on the feet, and 21
+    actions.
 
-    Joint quantities are (N, 21) in rad, rad/s and Nm, their limits (21,). The torques include
-    springs and dampers. The foot wrenches (12, N) are in N and Nm, right then left foot, in the
-    foot frames.
+    Joint quantities (N, 21) are in rad, rad/s and Nm, and joint limits (21,) in rad. The torques
+    include those of springs and dampers. The wrenches (12, N) on the right and the left foot are in
+    the foot frames, in newton and Nm.
     """
     angles = normalize_angle(torch.stack((torso.yaw, torso.roll, torso.angle_to_target)))
     return torch.cat(
@@ -94,11 +95,11 @@ def compute_humanoid_reward(
 ) -> Terms:
     """Return the reward terms (N,).
 
-    `progress_m_s` (N,) is the speed towards the target. Joint quantities are (N, 21), scaled as in
-    the observation. `motor_effort_ratio` (21,) is the torque of a full action, divided by the
-    largest of these torques.
+    `progress_m_s` (N,) is the speed towards the target. Joint quantities (N, 21) are scaled like
+    the observation. `motor_effort_ratio` (21,) are the torques of full actions, divided by the
+    largest of them.
     """
-    # 0 at 98% of the range, 1 at the limit.
+    # The cost rises from 0 at 98% of the range to 1 at the limit.
     at_limit = ((dof_pos_share.abs() - _AT_LIMIT) / (1.0 - _AT_LIMIT)).clamp(min=0.0)
     power = (actions * dof_vel_scaled).abs()
     terms = {

@@ -1,10 +1,10 @@
 """Ingenuity: a helicopter on Mars flies to targets with two rotors, as in IsaacGymEnvs.
 
-The task keeps two quirks. Rotors can also pull down. A new target may be farther away than the
-distance that ends an episode, and then the episode ends at once.
+The task keeps two quirks. Rotors can also pull down. A new target may lie beyond the distance that
+ends an episode, and then the episode ends at once.
 
-Three things differ. Gravity is the task file's -3.721 m/s^2, which IsaacGymEnvs does not read. The
-rotors are fixed to the chassis and do not turn. There is no marker at the target.
+Three things differ. Gravity is -3.721 m/s^2 from the task file, whereas IsaacGymEnvs ignores this
+key. The rotors are fixed to the chassis and do not turn. There is no marker at the target.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from isaacgymenvs_lite.tasks.base.hover import (
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 
-_THRUST_N_PER_S = 2000.0  # by a full action
+_THRUST_N_PER_S = 2000.0  # thrust of a full action per second of a simulator call
 _MAX_LATERAL_SHARE = 0.2
 _UPRIGHT_WEIGHT = 5.0
 
@@ -42,10 +42,11 @@ class IngenuityConfig(HoverConfig):
 
 
 def compute_ingenuity_forces(actions: Tensor, dt: float) -> Tensor:
-    """Return the forces (N, 6) on two rotors (N), x, y, z each, in rotor axes.
+    """Return the forces (N, 6) along x, y, z of each of the two rotors, in newton.
 
-    A full action pushes up with 2000 dt. Lateral forces are at most 0.2 of the vertical force.
-    `actions` (N, 6) have the same order, and `dt` is the time of a simulator call (s).
+    A full action pushes up with 2000 dt newton. Lateral forces are at most 0.2 of the vertical
+    force. `actions` (N, 6) have the order of the forces, and `dt` is the time of a simulator call
+    (s).
     """
     rotors = actions.reshape(len(actions), 2, 3)
     up = rotors[..., 2:].clamp(-1.0, 1.0) * (_THRUST_N_PER_S * dt)
@@ -54,12 +55,12 @@ def compute_ingenuity_forces(actions: Tensor, dt: float) -> Tensor:
 
 
 def compute_ingenuity_reward(to_target: Tensor, root_rot: Tensor, spin: Tensor) -> Terms:
-    """Return the reward terms (N,), at most 7 in total; see `compute_hover_reward`."""
+    """Return reward terms (N,), whose sum is at most 7 (see `compute_hover_reward`)."""
     return compute_hover_reward(to_target, root_rot, spin, _UPRIGHT_WEIGHT)
 
 
 def draw_targets(env_ids: Tensor) -> Tensor:
-    """Return random targets (n, 3) in m."""
+    """Draw random targets (n, 3) in m."""
     aside = uniform(env_ids, *_TARGET_ASIDE_M, (2,))
     return torch.cat((aside, uniform(env_ids, *_TARGET_HEIGHT_M, (1,))), dim=-1)
 
@@ -67,8 +68,8 @@ def draw_targets(env_ids: Tensor) -> Tensor:
 class Ingenuity(HoverTask):
     """N helicopters with 13 observations and 6 actions.
 
-    A target changes at every reset and every 500 steps of an episode. See
-    `compute_flight_observations` and `compute_ingenuity_forces`.
+    A target changes at every reset and after every 500 steps of an episode.
+    `compute_flight_observations` and `compute_ingenuity_forces` describe observations and actions.
     """
 
     settings_class = IngenuityConfig
@@ -85,7 +86,7 @@ class Ingenuity(HoverTask):
         self.target_pos = torch.tensor(HOME_M, device=self.device).repeat(self.num_envs, 1)
 
     def pre_physics_step(self, actions: Tensor) -> None:
-        """Move the targets that are due, then run the base method."""
+        """Draw new targets where 500 steps have passed, then run the base method."""
         due = (self.progress_buf % _STEPS_PER_TARGET == 0) & (self.progress_buf > 0)
         self._change_targets(due.nonzero().flatten())
         super().pre_physics_step(actions)

@@ -1,11 +1,11 @@
-"""Quadcopter: four rotors on two hinges each hover 1 m above the ground, as in IsaacGymEnvs.
+"""Quadcopter: a body with four tilting rotors hovers 1 m above the ground, as in IsaacGymEnvs.
 
 The task keeps two quirks: one full action moves a thrust from zero to its maximum, and the thrusts
 are not observed.
 
-The hinge drives have a stiffness of 1000 Nm/rad and no damping. Implicit integration makes them
-stable, see `drives`. It adds an armature of 0.025 kg m^2 and a damping of 5 Nm s/rad in steps of
-0.005 s. A hinge reaches its target in one step.
+Each rotor has two hinges, whose drives have a stiffness of 1000 Nm/rad and no damping. Implicit
+integration (see the module `drives`) makes the drives stable. In steps of 0.005 s it adds an
+armature of 0.025 kg m^2 and a damping of 5 Nm s/rad. A hinge reaches its target in one step.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 
 _NUM_HINGES = 8
 _NUM_ROTORS = 4
-_HINGE_SPEED_RAD_S = 8.0 * math.pi  # by a full action
-_THRUST_SPEED_N_S = 200.0  # by a full action
+_HINGE_SPEED_RAD_S = 8.0 * math.pi  # speed of a hinge target, from a full action
+_THRUST_SPEED_N_S = 200.0  # rate of a thrust, from a full action
 _MAX_THRUST_N = 2.0
 _START_ANGLE_RAD = 0.2
 
 
 def compute_quadcopter_reward(to_target: Tensor, root_rot: Tensor, spin: Tensor) -> Terms:
-    """Return the reward terms (N,), at most 3 in total; see `compute_hover_reward`."""
+    """Return reward terms (N,), whose sum is at most 3 (see `compute_hover_reward`)."""
     return compute_hover_reward(to_target, root_rot, spin, upright_weight=1.0)
 
 
 class Quadcopter(HoverTask):
     """N quadcopters with 21 observations and 12 actions.
 
-    The observations are `compute_flight_observations` and the positions of the 8 hinges (rad). The
-    actions are the speeds of the 8 hinge targets and of the 4 thrusts.
+    The observations are those of `compute_flight_observations` and the 8 hinge angles (rad). The
+    actions are the speeds of the 8 hinge targets and the rates of the 4 thrusts.
     """
 
     settings_class = HoverConfig
@@ -71,10 +71,10 @@ class Quadcopter(HoverTask):
         """Add position targets and thrusts."""
         super().allocate_buffers()
         self.targets = torch.zeros(self.num_envs, _NUM_HINGES, device=self.device)  # rad
-        self.thrusts = torch.zeros(self.num_envs, _NUM_ROTORS, device=self.device)  # N, along z
+        self.thrusts = torch.zeros(self.num_envs, _NUM_ROTORS, device=self.device)  # newton
 
     def compute_controls(self, actions: Tensor) -> Tensor:
-        """Return position targets (rad) and thrusts (N), (N, 12), moved by the actions."""
+        """Change hinge targets (rad) and thrusts (newton) by the actions, and return both."""
         self.targets += actions[:, :_NUM_HINGES] * (_HINGE_SPEED_RAD_S * self.sim_dt_s)
         self.targets.clamp_(self._lower, self._upper)
         self.thrusts += actions[:, _NUM_HINGES:] * (_THRUST_SPEED_N_S * self.sim_dt_s)
@@ -82,7 +82,7 @@ class Quadcopter(HoverTask):
         return torch.cat((self.targets, self.thrusts), dim=-1)
 
     def to_target(self) -> Tensor:
-        """Return the vectors (N, 3) to the point 1 m above the origin (m)."""
+        """Return the vectors (N, 3) in m to the point 1 m above the origin."""
         return self._target_pos - self.simulation.root_states[:, :3]
 
     def observation_groups(self) -> dict[str, int]:

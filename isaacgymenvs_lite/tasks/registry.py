@@ -1,4 +1,4 @@
-"""Registry of the tasks of this package, of programs and of installed packages."""
+"""Registry of the tasks that this package, programs and other installed packages define."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 TaskMaker = Callable[..., VecTask]
 
 isaacgym_task_map: dict[str, TaskMaker] = {}
-"""Class or function that makes each task, by the `name` in its task file."""
+"""Maps the `name` in a task file to the class or function that makes the task."""
 
 
 def register_task(name: str, task: TaskMaker, *, replace: bool = False) -> None:
     """Register a task under the `name` of its task file.
 
     Args:
-        name: the name.
+        name: `name` in the task file.
         task: a class, or a function that returns a `VecTask` for the keyword arguments `cfg`,
             `rl_device`, `sim_device`, `graphics_device_id`, `headless`, `virtual_screen_capture`,
             `force_render`.
-        replace: True replaces a registered task of this name.
+        replace: whether the task may replace a registered task of this name.
 
     Raises:
         ConfigError: another task has this name.
@@ -41,14 +41,14 @@ def register_task(name: str, task: TaskMaker, *, replace: bool = False) -> None:
 
 
 def is_task(name: str) -> bool:
-    """Return whether a task has this name, without importing it."""
+    """Return whether a task with this name exists. The task is not imported."""
     return name in isaacgym_task_map or name in {
         point.name for point in entry_points(group=ENTRY_POINTS)
     }
 
 
 def find_task(name: str) -> TaskMaker:
-    """Return the class or function that makes a task; import it from an installed package.
+    """Return the class or function that makes a task, after importing it if necessary.
 
     Raises:
         ConfigError: there is no such task, or its package cannot be imported.

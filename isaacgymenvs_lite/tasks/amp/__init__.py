@@ -1,1 +1,1 @@
-"""Tasks that a policy learns by imitating motion clips."""
+"""Tasks in which a policy learns by imitating motion clips."""

@@ -1,10 +1,11 @@
-"""Compares running episodes with their clips: distance, travel and tempo.
+"""Compares running episodes with their clips: pose, distance covered and tempo.
 
-A policy that stands instead of leaping never falls, so falls alone do not end its episodes early.
-DeepMimic (Peng et al. 2018, arXiv 1804.02717) prescribes a phase for every episode. Trackers such
-as PHC (Luo et al. 2023, arXiv 2305.06456) end an episode that is too far from its reference. An AMP
-episode has its own tempo, so its phase is searched for. Each control step advances the phase by at
-least half a step, to the nearest pose a little later.
+If only falls end episodes early, a policy can stand still instead of imitating a leap. DeepMimic
+(Peng et al. 2018, arXiv 1804.02717) prescribes a phase for every episode. Trackers such as PHC (Luo
+et al. 2023, arXiv 2305.06456) end an episode whose pose is too far from its reference. The tempo of
+an AMP episode is free, so this module searches for the phase. In each control step the phase moves
+to the most similar pose of the clip that is between half a control step and four control steps
+later.
 """
 
 from __future__ import annotations
@@ -21,57 +22,58 @@ from isaacgymenvs_lite.utils.state import Stateful
 
 PHASES_PER_STEP = 2
 COMPARED_S = 1.0
-"""Duration over which travel and tempo are compared."""
-_ADVANCES = range(1, 9)  # phases per control step: from half the clip's tempo to four times
-# A tempo that differs by one phase costs this share of `limit_m`. The phase therefore keeps the
-# clip's tempo among similar poses.
+"""Duration (s) over which the distance covered and the tempo are compared."""
+_ADVANCES = range(1, 9)  # phases per control step, from 0.5 to 4 times the clip's tempo
+# A tempo that differs from the clip's by one phase costs this share of `limit_m`. Among similar
+# poses the search therefore prefers the clip's tempo.
 _OFF_TEMPO = 0.02
-# The limits narrow while the mean episode grows from the first to the second of these durations. A
-# policy first learns to stay up, and its first kicks and steps are slow. Steps that are too quick
-# are never allowed, because training does not unlearn them.
+# The limits narrow while the mean episode grows from the first to the second of these durations.
+# Wide limits let a new policy learn to stay upright and to make slow first kicks and steps. Steps
+# that are too quick are never allowed, because a policy does not unlearn them.
 _EASED_S = (COMPARED_S, 3.0 * COMPARED_S)
 _SLOWEST_TEMPO = 0.5
-_AVERAGED_EPISODES = 4  # of each environment, in the mean duration
+_AVERAGED_EPISODES = 4  # episodes per environment in the mean duration
 _NONE = -1
 _TINY = 1e-9
 
 
 def distance_up_to_heading_m(points: Tensor, others: Tensor) -> Tensor:
-    """Return the mean distance (...) m of points (..., P, 3) from others, whatever their heading.
+    """Return mean distances (...) m of points (..., P, 3) from others after aligning the headings.
 
-    The points are first turned about z to minimise the squared distances. Unlike a heading, this
-    turn is defined upside down, too.
+    The points are first rotated about z to minimise the squared distances. This rotation is also
+    defined for a body upside down, where the heading is not.
     """
     x, y, z = points.unbind(dim=-1)
     other_x, other_y, other_z = others.unbind(dim=-1)
     dots, crosses = x * other_x + y * other_y, x * other_y - y * other_x
     dot, cross = dots.sum(dim=-1, keepdim=True), crosses.sum(dim=-1, keepdim=True)
     size = torch.hypot(dot, cross).clamp(min=_TINY)
-    turned = (dot * dots + cross * crosses) / size  # scalar products after the turn
+    turned = (dot * dots + cross * crosses) / size  # scalar products after the rotation
     squares = x * x + y * y + other_x * other_x + other_y * other_y + (z - other_z) ** 2
     return (squares - 2.0 * turned).clamp(min=0.0).sqrt().mean(dim=-1)
 
 
 def travel_through(root_states: Tensor, num_phases: int, repeats: bool) -> Tensor:
-    """Return the travel of a clip's root in the `num_phases` phases before each phase.
+    """Return the displacement of a clip's root in the `num_phases` phases before each phase.
 
-    A clip that repeats continues from its end to its start, straight on. The travel to the first
-    phases of any other clip is unknown.
+    A repeated clip continues in the direction of its last steps. The displacements before the first
+    phases of any other clip are unknown.
 
     Args:
         root_states: (S, >= 7) position (m, world) and rotation (xyzw) of the clip's phases.
-        num_phases: duration of the travel, which may exceed the clip.
-        repeats: True: the clip repeats.
+        num_phases: duration of the displacement in phases, which may exceed the clip.
+        repeats: whether the clip repeats.
 
     Returns:
-        (S, 2) m, in the heading frame of the phase where the travel ends; nan where it is unknown.
+        (S, 2) m, in the heading frame of the phase at the end of the displacement. Unknown
+        displacements are nan.
     """
-    # Complex numbers represent the plane, where a product turns.
+    # Complex numbers are points of the plane, and multiplying them rotates.
     places = torch.complex(root_states[:, 0], root_states[:, 1])
     headings = torch.complex(*heading_cos_sin(*root_states[:, 3:7].unbind(-1)))
     moves = (places[1:] - places[:-1]) * headings[:-1].conj()
     turns = headings[1:] * headings[:-1].conj()
-    # The step from the last phase to the first averages its neighbours, straight on.
+    # The step from the last phase to the first phase is the mean of the two neighbouring steps.
     start = torch.ones_like(headings[:1])
     moves = torch.cat((moves, start * (moves[-1:].sum() + moves[:1].sum()) / 2.0))
     turns = torch.cat((turns, start))
@@ -87,7 +89,7 @@ def travel_through(root_states: Tensor, num_phases: int, repeats: bool) -> Tenso
 
 
 def points_of(state: CharacterState) -> Tensor:
-    """Return root and key bodies (n, 1 + K, 3) m, relative to the root's ground point."""
+    """Return root and key bodies (n, 1 + K, 3) m relative to the point below the root at z = 0."""
     root_pos = state[0][:, None, :3]
     return torch.cat((root_pos, state[3]), dim=1) - root_pos * root_pos.new_tensor([1, 1, 0])
 
@@ -96,24 +98,24 @@ class ClipPhases(Stateful):
     """Tracks the clip and the phase of each environment.
 
     A clip repeats if its end is near its start. Other clips are not compared beyond their end. A
-    character that rests in a pose of a walk is near the clip, but travels less. A character that
-    takes steps of half the length, twice as many, is near the clip and travels as far. Therefore
-    travel and tempo can be compared, too.
+    character that rests in a pose of a walk is near the clip, so the covered distance can be
+    compared as well. A character that takes twice as many steps of half the length is near the clip
+    and covers the same distance, so the tempo can be compared as well.
 
     Args:
-        clips: points (S, P, 3) m of the body for each clip, relative to the root's ground point,
-            `PHASES_PER_STEP` times per control step from time 0 on.
+        clips: for each clip, points (S, P, 3) m of the body relative to the point below the root at
+            z = 0. A control step has `PHASES_PER_STEP` phases, and the first phase is at time 0.
         num_envs: N.
         dt_s: duration of a control step.
-        limit_m: largest distance while episodes are short, see `current_limit_m`. A clip repeats if
-            its end is closer to its start than this.
-        root_states: (S, >= 7) for each clip at the same times: position (m, world) and rotation
-            (xyzw).
-        travel_share: how much less than the clip the root may travel in `COMPARED_S`, as a share,
-            but at least `limit_m`; 0: no limit.
-        tempo_share: how much faster or slower than the clip an episode may be, as a share; 0: no
-            limit. Short episodes may be slower, see `min_tempo`.
-        final_limit_m: largest distance once episodes are long; None: `limit_m`.
+        limit_m: largest allowed distance from the clip while episodes are short (see
+            `current_limit_m`). A clip repeats if its end is closer than `limit_m` to its start.
+        root_states: for each clip, the root's world position (m) and rotation (xyzw) at all phases,
+            (S, >= 7).
+        travel_share: the distance that the root may lag behind the clip in `COMPARED_S`, as a share
+            of the clip's distance. A lag of `limit_m` is always allowed. 0 selects no limit.
+        tempo_share: allowed difference between the tempos of episode and clip, as a share. 0
+            selects no limit. Short episodes may be slower (see `min_tempo`).
+        final_limit_m: largest allowed distance once episodes are long. None selects `limit_m`.
     """
 
     stored = (
@@ -155,21 +157,21 @@ class ClipPhases(Stateful):
                 for states, repeats in zip(root_states, self.repeats.tolist(), strict=True)
             ]
             self._travels = torch.cat(travels)
-        # Root positions (T + 1, N, 2) m and phase advances (T, N) in the last COMPARED_S.
+        # Root positions (T + 1, N, 2) m and phase advances (T, N) of the last COMPARED_S seconds.
         num_places = 0 if self._travels is None else steps + 1
         self._trail = torch.zeros(num_places, num_envs, 2, device=device)
         self._passed = self._clip.new_zeros(steps if tempo_share > 0.0 else 0, num_envs)
         self._max_tempo = 1.0 + tempo_share
-        # Episodes that start anywhere in a clip and end with it last half of it on average.
+        # An episode from a random time to the end of a clip lasts half the clip on average.
         half_s = 0.5 * max(len(clip) for clip in clips) * dt_s / PHASES_PER_STEP
         share = 1.0 if self.repeats.any() else min(1.0, half_s / _EASED_S[-1])
         first, last = (round(share * time_s / dt_s) for time_s in _EASED_S)
         self._eased_steps = first, max(first + 1, last)
         self._num_followed = torch.zeros(num_envs, dtype=torch.int64, device=device)
-        # The mean duration of ended episodes, and its maximum so far.
+        # The mean duration of ended episodes, and the maximum of this mean so far.
         self._mean_steps = torch.zeros((), device=device)
         self._longest_mean = torch.zeros((), device=device)
-        # 1 selects the wide limits, 0 the narrow limits. The value never rises.
+        # 1 selects the wide limits, and 0 selects the narrow limits. The value never rises.
         self._eased = 1.0
 
     @classmethod
@@ -181,10 +183,10 @@ class ClipPhases(Stateful):
         standing_m: float,
         config: HumanoidAMPConfig,
     ) -> ClipPhases:
-        """Return the phases of a task's episodes and clips.
+        """Make `ClipPhases` from the clips and settings of a task.
 
         `standing_m` is the root height of a standing character. The limits in `config` are shares
-        of it.
+        of this height.
         """
         clips, root_states = [], []
         for motion_id in range(motions.lib.num_motions()):
@@ -209,7 +211,7 @@ class ClipPhases(Stateful):
         )
 
     def start(self, env_ids: Tensor, clips: Tensor, times_s: Tensor) -> None:
-        """Track environments (n,) in clips (n,) from times (n,) s on."""
+        """Start comparing environments (n,) with clips (n,) from times (n,) s on."""
         self._clip[env_ids] = clips
         self._phase[env_ids] = (times_s * self._phases_per_s).round().long()
         self.is_over[env_ids] = False
@@ -224,24 +226,24 @@ class ClipPhases(Stateful):
         self._num_followed[env_ids] = 0
 
     def stop(self, env_ids: Tensor) -> None:
-        """Stop tracking environments (n,)."""
+        """Stop comparing environments (n,) with clips."""
         self._phase[env_ids] = _NONE
 
     def follows_any(self) -> bool:
-        """Return whether an environment is tracked."""
+        """Return whether at least one environment is compared with a clip."""
         return bool((self._phase != _NONE).any())
 
     @torch.inference_mode()
     def are_off(self, state: CharacterState) -> Tensor:
-        """Advance all phases by a control step; return (N,) bool: the character left its clip."""
+        """Advance phases by a control step, and return which characters (N,) left their clips."""
         is_far = self.advance(points_of(state)) > self.current_limit_m()
         is_behind = self.lags_behind(state[0][:, :3], state[0][:, 3:7])
         return is_far | is_behind | self.is_off_tempo()
 
     def advance(self, points: Tensor) -> Tensor:
-        """Advance all phases; return the distances (N,) m of points (N, P, 3) m from the clips.
+        """Advance all phases, and return distances (N,) m of points (N, P, 3) m from clips.
 
-        The distance is 0 where no clip is tracked.
+        The distance is 0 in environments that are not compared with a clip.
         """
         lengths = self._lengths[self._clip].unsqueeze(1)
         phases = self._phase.unsqueeze(1) + self._advances
@@ -262,11 +264,11 @@ class ClipPhases(Stateful):
         return torch.where(is_followed, away_m, 0.0)
 
     def lags_behind(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
-        """Return (N,) bool: the root travelled too little in the clip's direction in `COMPARED_S`.
+        """Return which roots (N,) lag behind in the clip's direction in the last `COMPARED_S`.
 
-        Call it once per control step, after `advance`. Episodes tracked for less time are not
-        compared. Travelling farther is allowed, because a leap that is being learned goes too far
-        at first. `root_pos` (N, 3) is in m, world, and `root_rot` (N, 4) is xyzw.
+        Call this method once per control step, after `advance`. Episodes that are younger than
+        `COMPARED_S` are ignored. A larger distance is allowed, because first attempts at a leap go
+        too far. `root_pos` (N, 3) is in m in world axes, and `root_rot` (N, 4) is xyzw.
         """
         if self._travels is None:
             return torch.zeros_like(self._phase, dtype=torch.bool)
@@ -282,9 +284,9 @@ class ClipPhases(Stateful):
         return is_behind & (self._phase != _NONE) & (self._num_followed >= len(self._trail))
 
     def is_off_tempo(self) -> Tensor:
-        """Return (N,) bool: the episode was too fast or too slow in `COMPARED_S`.
+        """Return which episodes (N,) were too fast or too slow in `COMPARED_S`.
 
-        Call it after `advance`. Episodes tracked for less time are not compared.
+        Call this method after `advance`. Episodes that are younger than `COMPARED_S` are ignored.
         """
         steps = len(self._passed)
         if steps == 0:
@@ -296,11 +298,11 @@ class ClipPhases(Stateful):
     def min_tempo(self) -> float:
         """Return the current lowest tempo, as a share of the clip's tempo.
 
-        It rises from 0.5 to 1 / (1 + `tempo_share`) as episodes get longer.
+        The lowest tempo rises from 0.5 to 1 / (1 + `tempo_share`) as episodes get longer.
         """
         least = 1.0 / self._max_tempo
         return least - max(0.0, least - _SLOWEST_TEMPO) * self._eased
 
     def current_limit_m(self) -> float:
-        """Return the current largest distance, from `limit_m` down to `final_limit_m`."""
+        """Return the largest allowed distance, which sinks from `limit_m` to `final_limit_m`."""
         return self._final_limit_m + (self._limit_m - self._final_limit_m) * self._eased

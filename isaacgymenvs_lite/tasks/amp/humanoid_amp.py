@@ -36,7 +36,7 @@ from isaacgymenvs_lite.tasks.goals.goal import Goal
 
 log = logging.getLogger(__name__)
 
-NUM_AMP_OBS_PER_STEP = NUM_OBS  # of IsaacGymEnvs' humanoid, for scripts
+NUM_AMP_OBS_PER_STEP = NUM_OBS  # scripts for IsaacGymEnvs' humanoid use this name
 
 
 build_amp_observations = compute_humanoid_observations
@@ -44,20 +44,20 @@ build_amp_observations = compute_humanoid_observations
 
 
 class HumanoidAMP(HumanoidAMPBase):
-    """The humanoid with reference motions: AMP observations, and episodes that start in clips.
+    """The humanoid with clips, which provide demonstrations and the starts of episodes.
 
-    `ReferenceMotions` provides the demonstrations and `ClipStarts` the starts of episodes.
-    `ClipPhases` tracks how far episodes are from their clips.
+    `ReferenceMotions` provides the demonstrations, and `ClipStarts` provides the starts of
+    episodes. `ClipPhases` compares episodes with their clips.
 
-    The AMP observation holds `numAMPObsSteps` control steps, the newest first. The agent calls
-    `reset_done` before each policy step. It reads `infos["amp_obs"]` (N, F) and
+    The AMP observation contains `numAMPObsSteps` control steps, newest first. The agent calls
+    `reset_done` before each policy step, and reads `infos["amp_obs"]` (N, F) and
     `infos["terminate"]` (N,).
 
-    A derived task can add a goal, which is rewarded in addition to the style. The last entries of
-    the policy observation describe the goal.
+    A derived task can add a goal, which is rewarded in addition to the motion style. The last
+    entries of the policy observation describe the goal.
 
     Attributes:
-        goal: the goal, here without reward or observation.
+        goal: the goal, which has no reward and no observation in HumanoidAMP.
 
     Raises:
         ConfigError: a setting is invalid.
@@ -67,7 +67,7 @@ class HumanoidAMP(HumanoidAMPBase):
     not_stored = ("_off_clip",)
     amp_obs_as_ase: ClassVar[bool] = False  # see `dof_to_obs`
     goal_class: ClassVar[type[Goal]] = Goal
-    """Class of the goal, which reads its own keys of `task.env`."""
+    """Class of the goal. A goal reads its keys of `task.env`."""
 
     def read_settings(self, env: dict[str, Any]) -> Any:
         """Check `task.env` and create the goal."""
@@ -80,7 +80,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self.goal.add_to_model(spec)
 
     def observation_groups(self) -> dict[str, int]:
-        """Return names and sizes of the observation parts; the goal comes last."""
+        """Return names and sizes of the observation parts, of which the goal is the last."""
         size = self.get_task_obs_size()
         return super().observation_groups() | ({self.goal.obs_name: size} if size else {})
 
@@ -95,7 +95,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self._num_amp_obs_per_step = num_humanoid_obs(offsets, num_keys, self.amp_obs_as_ase)
 
     def create_sim(self) -> None:
-        """Create the simulations with damped objects, and load the clips."""
+        """Create the simulations, damp the goal's objects, and load the clips."""
         damp_objects(self._model, self._layout.object_names)
         super().create_sim()
         lib = MotionLib(
@@ -127,7 +127,7 @@ class HumanoidAMP(HumanoidAMPBase):
         return self.env_cfg.contact_bodies is None
 
     def reference_skeleton(self) -> Skeleton | None:
-        """Return the skeleton of the clips; None: the shipped humanoid's."""
+        """Return the skeleton of the clips. None selects the shipped humanoid."""
         return None
 
     def allocate_buffers(self) -> None:
@@ -136,9 +136,9 @@ class HumanoidAMP(HumanoidAMPBase):
         size = (self.num_envs, self.num_amp_obs_steps, self._num_amp_obs_per_step)
         self._amp_obs_buf = torch.zeros(size, device=self.device)  # newest first
         self._phases: ClipPhases | None = None
-        # (N,) bool, True where the character left its clip; None: not compared.
+        # Marks characters (N,) that left their clips, or is None without a comparison.
         self._off_clip: Tensor | None = None
-        # Phases of the clip that ends episodes; None: clips do not end episodes.
+        # The phases of the clip whose end also ends episodes, or None.
         self._ending: ClipPhases | None = None
         soon_limit = self.max_episode_length
         if self.env_cfg.clip_deviation > 0.0:
@@ -159,7 +159,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self.goal.attach(self.simulation, self.control_dt_s)
 
     def _end_with_clip(self, phases: ClipPhases) -> None:
-        """Let episodes end with the clip, if the only clip does not return to its start."""
+        """Let episodes end with the only clip, unless this clip returns to its start."""
         cfg = self.env_cfg
         starts_in_clip = cfg.state_init in ("Random", "Start")
         if not (cfg.end_with_clip and starts_in_clip and phases.repeats.tolist() == [False]):
@@ -177,11 +177,11 @@ class HumanoidAMP(HumanoidAMPBase):
 
     @property
     def clip_starts_s(self) -> Tensor | None:
-        """Clip times (N,) s at which episodes started; None: episodes do not end with the clip."""
+        """Start times (N,) s of episodes in the clip that ends them, or None if no clip does."""
         return None if self._ending is None else self._starts.times_s
 
     def compute_time_outs(self) -> Tensor:
-        """Return (N,) bool: the time limit or the end of the clip is reached."""
+        """Return which episodes (N,) reached the time limit or the end of the clip."""
         time_outs = super().compute_time_outs()
         return time_outs if self._ending is None else time_outs | self._ending.is_over
 
@@ -206,16 +206,16 @@ class HumanoidAMP(HumanoidAMPBase):
         )
 
     def current_amp_features(self, env_ids: Tensor | None = None) -> Tensor:
-        """Return one step of the AMP observation of all environments or `env_ids` (n,).
+        """Return one step of the AMP observations of `env_ids` (n,). None selects all environments.
 
-        `compute_observations` must be called before.
+        Call `compute_observations` first.
         """
-        # The policy observation starts with it.
+        # The policy observation starts with one step of the AMP observation.
         features = self.obs_buf[:, : self._num_amp_obs_per_step]
         return features if env_ids is None else features.index_select(0, env_ids)
 
     def amp_obs_of(self, env_ids: Tensor) -> Tensor:
-        """Return the AMP observations (n, F) of environments (n,), also after a reset."""
+        """Return the current AMP observations (n, F) of environments (n,)."""
         rows = self._amp_obs_buf.index_select(0, env_ids.to(self.device))
         return rows.flatten(1).to(self.rl_device)
 
@@ -225,11 +225,11 @@ class HumanoidAMP(HumanoidAMPBase):
         return self._motions.lib
 
     def keep_to_clips(self, env_ids: Tensor) -> None:
-        """Let episodes (n,) that started in a clip fail if they leave it.
+        """From now on, let episodes (n,) that started in a clip fail if they leave it.
 
-        Call it after a reset. It has no effect without `clipDeviation`. The task calls it itself if
-        there is only one clip. If there are several, the policy must observe which clip is meant,
-        for example by a latent.
+        Call this method after a reset. It has no effect without `clipDeviation`. If there is only
+        one clip, the task calls the method itself. If there are several clips, the policy must
+        observe which clip to follow, for example by a latent vector.
         """
         if self._phases is None:
             return
@@ -250,7 +250,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self.goal.before_step(self.progress_buf)
 
     def update_state(self) -> None:
-        """Update the goal, and compare the characters with their clips."""
+        """Update the goal, and compare the characters with the clips that they started in."""
         self.goal.after_step()
         self._off_clip = None
         followed = self._phases if self.is_training else self._ending
@@ -259,19 +259,19 @@ class HumanoidAMP(HumanoidAMPBase):
 
     @torch.inference_mode()
     def compute_obs_of(self, env_ids: Tensor | None) -> Tensor:
-        """Return observations of environments (n,) or of all, with the goal."""
+        """Return observations, including the goal, of environments (n,) or of all."""
         character = self._observe_character(env_ids)
         if self.goal.num_task_obs == 0:
             return character
         return torch.cat((character, self.goal.observe(env_ids)), dim=-1)
 
     def compute_reward_terms(self) -> Terms:
-        """Return the reward terms of the goal; the agent adds the style reward."""
+        """Return the reward terms of the goal, without the style reward, which the agent adds."""
         reward = self.goal.reward()
         return reward if isinstance(reward, dict) else {"task": reward}
 
     def goal_errors(self) -> dict[str, Tensor]:
-        """Return the errors (N,) of the last step relative to the goal, see `Goal.errors`."""
+        """Return the errors (N,) of the last step relative to the goal (see `Goal.errors`)."""
         return self.goal.errors()
 
     @property
@@ -284,12 +284,12 @@ class HumanoidAMP(HumanoidAMPBase):
         self.goal.on_key(key)
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
-        """Return the markers that show the goal of an environment in pictures."""
+        """Return the markers that picture the goal of one environment."""
         return self.goal.markers(env_id)
 
     @torch.inference_mode()
     def compute_failures(self) -> Tensor:
-        """Return (N,) bool: the character fell, left its clip, or can no longer reach the goal."""
+        """Return which characters (N,) fell, left their clips, or can no longer reach the goal."""
         fallen = super().compute_failures()
         if not self.env_cfg.enable_early_termination:
             return fallen
@@ -299,11 +299,11 @@ class HumanoidAMP(HumanoidAMPBase):
         missed = self.goal.failures(self.contact_body_ids)
         if missed is None:
             return fallen
-        # The first step may have stale contact forces.
+        # The contact forces of an episode's first step may be stale.
         return fallen | (missed & (self.progress_buf > 1))
 
     def post_physics_step(self) -> None:
-        """Run the base method, then add the step to the AMP history, terminal states included."""
+        """Run the base method, then add the step, even a terminal one, to the AMP history."""
         super().post_physics_step()
         if self._starts.adaptive is not None:
             ended = (self.done_buf != Done.RUNNING) & (self._starts.clips >= 0)
@@ -322,29 +322,29 @@ class HumanoidAMP(HumanoidAMPBase):
     def fetch_amp_obs_demo(self, num_samples: int) -> Tensor:
         """Return AMP observations (n, F) of random clip times on rl_device.
 
-        Clips are drawn by weight. The whole history lies inside the clip, as in ASE; IsaacGymEnvs
-        extrapolates before the start.
+        Clips are drawn by weight. As in ASE, the steps of an observation lie inside the clip.
+        IsaacGymEnvs extrapolates before the start of a clip.
         """
         return self._motions.windows(*self._motions.draw_windows(num_samples)).to(self.rl_device)
 
     def fetch_amp_obs_demo_pairs(self, num_samples: int, apart_s: float = 1.0) -> Tensor:
-        """Return pairs (n, 2, F) of AMP observations of one clip, at most `apart_s` apart."""
+        """Draw pairs (n, 2, F) of AMP observations at most `apart_s` apart in one clip."""
         return self._motions.draw_pairs(num_samples, apart_s).to(self.rl_device)
 
     def fetch_tracking_demo(self, num_samples: int, with_goal: bool = True) -> TrackingDemo | None:
-        """Return random states of the clips with actions that continue them, on rl_device.
+        """Draw states from the clips, and return them with actions that continue the motion.
 
-        A drive with target q + kd / kp * v exerts no torque at position q and velocity v. The
-        targets belong to the next control step. Call it before a reset of all environments, because
-        it may overwrite their states.
+        A drive with the target q + kd / kp * v exerts no torque at position q and velocity v. Here
+        q and v are those of the next control step. Call this method only before a reset of all
+        environments, because it may overwrite their states.
 
         Args:
             num_samples: n.
-            with_goal: True: the observations include the goal.
+            with_goal: whether the observations include the goal.
 
         Returns:
-            The samples, or None if clips do not determine the observation or if actions are
-            torques.
+            The samples on rl_device, or None if clips do not determine the observation or if
+            actions are torques.
         """
         if not self.env_cfg.pd_control:
             return None
@@ -364,7 +364,7 @@ class HumanoidAMP(HumanoidAMPBase):
                 return None
             obs = torch.cat((obs, goal), dim=-1)
         _, near, far = states[1].view(3, num_samples, -1)
-        # The components of exponential maps may jump by 2 pi.
+        # Exponential maps of consecutive states may jump by 2 pi.
         change = torch.remainder(far - near + torch.pi, 2 * torch.pi) - torch.pi
         kp, kd = -torch.from_numpy(self._model.actuator_biasprm[:, 1:3]).float().t()
         leads_s = torch.where(kp > 0, kd / kp.clamp(min=1e-9), 0.0).to(self.device)
@@ -374,17 +374,17 @@ class HumanoidAMP(HumanoidAMPBase):
         return TrackingDemo(*(rows.to(self.rl_device) for rows in (obs, actions, amp_obs)))
 
     def _observe_clip(self, states: CharacterState) -> Tensor | None:
-        """Return the character observations of clip states; None: clips do not determine them."""
+        """Return observations of clip states, or None if these do not determine observations."""
         return self._amp_features(states)
 
     def windows_of_clips(self) -> list[Tensor]:
-        """Return the AMP observations (W, F) of each clip, one per control step."""
+        """Return for each clip the AMP observations (W, F) of all its control steps."""
         return [windows.to(self.rl_device) for windows in self._motions.windows_of_clips()]
 
     # --- reset -------------------------------------------------------------------------------
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Start episodes in the default pose or in clips, as `stateInit` says, and draw goals."""
+        """Start episodes in the default pose or in clips (key `stateInit`), and draw goals."""
         mode = self.env_cfg.state_init
         reference_ids, default_ids = env_ids, env_ids[:0]
         if mode == "Default":
@@ -406,7 +406,7 @@ class HumanoidAMP(HumanoidAMPBase):
             self.goal.start_in_clip(reference_ids, self._roots_ahead)
 
     def robot_description(self) -> RobotDescription:
-        """Return the base description with the start of the first clip, if episodes start there."""
+        """Run the base method, and use the start of the first clip if episodes start in clips."""
         description = super().robot_description()
         if self.env_cfg.state_init == "Default":
             return description
@@ -415,7 +415,7 @@ class HumanoidAMP(HumanoidAMPBase):
         return description._replace(start=RobotState(*(rows[0] for rows in states[:3])))
 
     def reset(self) -> dict[str, Tensor]:
-        """Start all episodes; first discard drawn starts, whose number depends on the past."""
+        """Discard drawn starts, whose number depends on the past, and start all episodes."""
         self._starts.clear()
         return super().reset()
 
@@ -429,7 +429,7 @@ class HumanoidAMP(HumanoidAMPBase):
     @torch.inference_mode()
     def _start_histories(self, env_ids: Tensor) -> None:
         now = self.current_amp_features(env_ids)
-        # The character stood still before a start without a clip.
+        # Before a start in the default pose, the history holds a character at rest.
         standing = now.unsqueeze(1).expand(-1, self.env_cfg.num_amp_obs_steps, -1)
         self._amp_obs_buf.index_copy_(0, env_ids, standing)
         if len(self._reference_env_ids) > 0:

@@ -51,7 +51,7 @@ __all__ = [
 
 log = logging.getLogger(__name__)
 
-# Scripts use these constants of IsaacGymEnvs' humanoid. The tasks read the model instead.
+# Scripts use these constants of IsaacGymEnvs' humanoid. This project's tasks read the model.
 DOF_BODY_IDS = [1, 2, 3, 4, 6, 7, 9, 10, 11, 12, 13, 14]
 DOF_OFFSETS = [0, 3, 6, 9, 10, 13, 14, 17, 18, 21, 24, 25, 28]
 NUM_OBS = 105
@@ -67,7 +67,7 @@ CharacterState = tuple[Tensor, Tensor, Tensor, Tensor]
 
 @dataclass(frozen=True, kw_only=True)
 class HumanoidAMPConfig(TaskConfig):
-    """`task.env` of HumanoidAMP; cfg/task/HumanoidAMP.yaml describes the keys."""
+    """`task.env` of HumanoidAMP. The file cfg/task/HumanoidAMP.yaml describes the keys."""
 
     episode_length: int = setting(300, key="episodeLength", minimum=2)
     pd_control: bool = setting(True, key="pdControl")
@@ -100,9 +100,9 @@ class HumanoidAMPConfig(TaskConfig):
 def dof_limits(model: mujoco.MjModel, layout: ModelLayout) -> npt.NDArray[np.float64]:
     """Return the lower and upper limits (D, 2) of a humanoid's degrees of freedom in rad.
 
-    MuJoCo limits only the total angle of a ball joint. The limits of its rotation vector are the
-    length ranges of its three actuators, or 0 if the file has none. Actuators have the order of the
-    degrees of freedom.
+    MuJoCo limits only the total angle of a ball joint. The limits of a ball joint's rotation vector
+    are the length ranges of its three actuators, or 0 if the file has no length ranges. Actuators
+    have the order of the degrees of freedom.
     """
     limits = hinge_limits(model, layout)
     balls = layout.ball_dofs.ravel()
@@ -112,29 +112,29 @@ def dof_limits(model: mujoco.MjModel, layout: ModelLayout) -> npt.NDArray[np.flo
 
 def set_actuators(model: mujoco.MjModel, env: HumanoidAMPConfig) -> None:
     """Set the actuator type and effort limits of a compiled model."""
-    if not env.pd_control:  # the control is a torque in Nm, which may exceed the efforts
+    if not env.pd_control:  # controls are torques (Nm) without effort limits
         model.actuator_gainprm[:, 0] = 1.0
         model.actuator_biastype[:] = int(mujoco.mjtBias.mjBIAS_NONE)
         model.actuator_biasprm[:] = 0.0
         model.actuator_forcelimited[:] = 0
         return
-    # MuJoCo 4 wraps the error of a position servo on a ball joint into +-pi. A full action is
-    # float32's pi, which is above pi and would turn the joint backwards. MuJoCo recognises a servo
-    # by gain = -bias, so a bias that differs in the last bit avoids the wrapping.
+    # MuJoCo 4 wraps the error of a position servo on a ball joint into +-pi. A full action is pi in
+    # float32, which exceeds pi and would rotate the joint backwards. MuJoCo recognises a servo by
+    # gain = -bias, so a bias with another last bit avoids the wrapping.
     model.actuator_biasprm[:, 1] = np.nextafter(model.actuator_biasprm[:, 1], 0.0)
     if not env.enforce_effort_limits:
         model.actuator_forcelimited[:] = 0
 
 
-# Autograd's bookkeeping takes a tenth of the time on small tensors, hence inference_mode below.
+# inference_mode saves autograd's bookkeeping, a tenth of the time for small tensors.
 
 
 class HumanoidAMPBase(MjcfTask):
-    """N humanoids with PD targets or torques as actions: 105 observations, 28 actions.
+    """N humanoids with 105 observations, and with 28 PD targets or torques as actions.
 
     docs/amp.md lists the differences from IsaacGymEnvs. A contact force in any direction can mean a
     fall. The observation after a reset describes the new state. The default pose is the zero pose,
-    while IsaacGymEnvs' default pose crosses the arms.
+    whereas IsaacGymEnvs' default pose crosses the arms.
     """
 
     settings_class = HumanoidAMPConfig
@@ -143,7 +143,7 @@ class HumanoidAMPBase(MjcfTask):
     starts_before_physics = True
     agents_call_reset_done = True
     num_dofs_of_assets: ClassVar[tuple[int, ...]] = (NUM_ACTIONS,)
-    """Degrees of freedom of the supported models; empty: any number."""
+    """Supported numbers of degrees of freedom. An empty tuple supports all numbers."""
 
     def build_model(self) -> mujoco.MjModel:
         """Return the compiled model with the configured actuators."""
@@ -156,7 +156,7 @@ class HumanoidAMPBase(MjcfTask):
         return KEY_BODY_NAMES
 
     def contact_body_names(self) -> tuple[str, ...]:
-        """Return the bodies that may touch the floor in any clip."""
+        """Return the bodies that may touch the floor in every clip."""
         bodies: tuple[str, ...] | None = self.env_cfg.contact_bodies
         return FEET if bodies is None else bodies
 
@@ -166,7 +166,7 @@ class HumanoidAMPBase(MjcfTask):
         self.num_actions = self._layout.num_dofs
 
     def observation_groups(self) -> dict[str, int]:
-        """Return names and sizes of the observation parts, in order."""
+        """Return the ordered names and sizes of the observation parts."""
         return self.character_observation_groups()
 
     def character_observation_groups(self) -> dict[str, int]:
@@ -212,7 +212,7 @@ class HumanoidAMPBase(MjcfTask):
         self.termination_heights_m = self._termination_heights()
         efforts = torch.tensor(self._model.actuator_forcerange[:, 1], dtype=torch.float32)
         self.motor_efforts = efforts.to(self.device)
-        # The controls are offset + scale * action, (D,) each.
+        # The controls are offset + scale * action. Offset and scale are (D,).
         if self.env_cfg.pd_control:
             limits = torch.from_numpy(dof_limits(self._model, self._layout)).float()
             offset, scale = self._pd_offset_scale(limits[:, 0], limits[:, 1])
@@ -233,7 +233,7 @@ class HumanoidAMPBase(MjcfTask):
             )
 
     def _termination_heights(self) -> float | Tensor:
-        """Return the termination height (m), one for all bodies or (B,)."""
+        """Return the termination height (m) of all bodies, or one for each body (B,)."""
         return self.env_cfg.termination_height
 
     def _body_ids(self, key: str, names: tuple[str, ...]) -> Tensor:
@@ -245,7 +245,7 @@ class HumanoidAMPBase(MjcfTask):
         return torch.tensor(ids, dtype=torch.int64, device=self.device)
 
     def compute_controls(self, actions: Tensor) -> Tensor:
-        """Return PD targets (rad) or torques (Nm), offset + scale * action, (N, D)."""
+        """Return offset + scale * action (N, D), which are PD targets (rad) or torques (Nm)."""
         return torch.addcmul(self._action_offset, self._action_scale, actions)
 
     def compute_obs(self) -> Tensor:
@@ -275,12 +275,12 @@ class HumanoidAMPBase(MjcfTask):
         return root_states, dof_pos, dof_vel, key_body_pos
 
     def compute_reward_terms(self) -> Terms:
-        """Return the constant task reward; the agent adds the style reward."""
+        """Return the constant task reward, without the style reward, which the agent adds."""
         return {"task": compute_humanoid_reward(self.obs_buf)}
 
     @torch.inference_mode()
     def compute_failures(self) -> Tensor:
-        """Return (N,) bool: the character fell, see `compute_humanoid_falls`."""
+        """Return which characters (N,) fell (see `compute_humanoid_falls`)."""
         if not self.env_cfg.enable_early_termination:
             return torch.zeros_like(self.timeout_buf)
         return compute_humanoid_falls(
@@ -292,7 +292,7 @@ class HumanoidAMPBase(MjcfTask):
         )
 
     def infos(self) -> dict[str, Any]:
-        """Return `terminate` (N,), 1 where the character fell, and the number of divergences."""
+        """Return the number of divergences, and `terminate` (N,), which is 1 after a fall."""
         return {
             "terminate": (self.done_buf == Done.FAILED).long().to(self.rl_device),
             "diverged_simulations": self.simulation.num_failures,
@@ -313,7 +313,7 @@ class HumanoidAMPBase(MjcfTask):
         )
 
     def default_pose(self) -> tuple[Tensor, Tensor]:
-        """Return root state (13,) and DOF positions (D,): upright, facing +x, all angles zero."""
+        """Return root state (13,) and DOF positions (D,): upright, facing +x, all DOFs zero."""
         root_state = torch.zeros(13, device=self.device)
         root_state[2], root_state[6] = _START_HEIGHT_M, 1.0
         return root_state, torch.zeros(self._layout.num_dofs, device=self.device)

@@ -1,4 +1,4 @@
-"""Clips of a task: demonstrations for a discriminator, and starts of episodes."""
+"""Provides a task's clips as demonstrations for a discriminator and as starts of episodes."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState, Humano
 from isaacgymenvs_lite.utils.state import Stateful
 
 _BIN_S = 0.1
-_UPDATE = 0.02  # weight of an episode in the failure rate of its bin
+_UPDATE = 0.02  # weight of a new episode in the failure rate of its bin
 _WINDOWS_AT_A_TIME = 256  # larger batches exceed the CPU's cache
 _STARTS_AT_A_TIME = 1024
-_FAILS_SOON_S = 1.5  # duration of a leap with its landing
-_LEAST_LEFT_S = 0.5  # shortest episode that ends with its clip
+_FAILS_SOON_S = 1.5  # a leap and its landing take this time
+_LEAST_LEFT_S = 0.5  # least duration of an episode that ends with its clip
 
 
 class ReferenceMotions:
-    """States and AMP observations of a task's clips, at given or random times.
+    """Provides states and AMP observations of a task's clips at given or random times.
 
-    An AMP observation is a window of `num_steps` control steps, the newest first, flattened to F
-    values. `features` computes one control step of the observation from character states. Clips are
-    drawn by weight. `motion_share` of the windows are drawn in proportion to the motion in the
-    clip, the others evenly.
+    An AMP observation, or window, is a series of `num_steps` control steps, newest first, flattened
+    to F values. `features` computes one control step of a window from character states. Clips are
+    drawn by weight. The end times of `motion_share` of the windows are drawn in proportion to the
+    motion in the clip, and all others uniformly.
     """
 
     def __init__(
@@ -47,7 +47,8 @@ class ReferenceMotions:
         """Return the states of motions (n,), `steps` (s,) control steps before times (n,) s.
 
         The result has root states (s * n, 13), DOF positions and velocities (s * n, D), and key
-        bodies (s * n, K, 3). All motions at the first step precede all motions at the second step.
+        bodies (s * n, K, 3). In each tensor, all motions at the first step come first, then all
+        motions at the second step.
         """
         ids = motion_ids.repeat(len(steps))
         at_s = (times - self._dt_s * steps.unsqueeze(1)).flatten()
@@ -77,17 +78,17 @@ class ReferenceMotions:
         return motion_ids, times
 
     def draw_pairs(self, n: int, apart_s: float) -> Tensor:
-        """Draw pairs (n, 2, F) of AMP observations of one motion, at most `apart_s` apart."""
+        """Draw pairs (n, 2, F) of AMP observations at most `apart_s` apart in one motion."""
         motion_ids, times = self.draw_windows(n)
         shift_s = apart_s * (2.0 * torch.rand(n, device=times.device) - 1.0)
         last_s = self.lib.get_motion_length(motion_ids).to(times)
-        # A clip shorter than the history has only one window.
+        # A clip that is shorter than a window has only one window.
         earliest_s = torch.full_like(times, self._history_s)
         others = torch.maximum(torch.minimum(times + shift_s, last_s), earliest_s)
         return torch.stack([self.windows(motion_ids, at) for at in (times, others)], dim=1)
 
     def windows_of_clips(self) -> list[Tensor]:
-        """Return the AMP observations (W, F) of each clip, one per control step, at least one."""
+        """Return the AMP observations (W, F) of all control steps of each clip, at least one."""
         windows = []
         for motion_id in range(self.lib.num_motions()):
             left_s = float(self.lib.get_motion_length([motion_id])) - self._history_s
@@ -98,13 +99,13 @@ class ReferenceMotions:
         return windows
 
     def histories(self, states: CharacterState, n: int) -> Tensor:
-        """Return the AMP features (n, num_steps - 1, ...) of n motions, without the newest step."""
+        """Return the AMP features (n, num_steps - 1, ...) of the older steps of n windows."""
         root, dof_pos, dof_vel, key_pos = states
         before = self._features((root[n:], dof_pos[n:], dof_vel[n:], key_pos[n:]))
         return before.view(len(self._steps) - 1, n, -1).transpose(0, 1)
 
     def roots_ahead(self, motion_ids: Tensor, times: Tensor, ahead_s: Sequence[float]) -> Tensor:
-        """Return the root states (n, T, 13) of motions (n,), `ahead_s` (T) s after times (n,) s."""
+        """Return root states (n, T, 13) of motions (n,) at T times `ahead_s` after times (n,) s."""
         if not ahead_s:
             return torch.zeros(len(motion_ids), 0, 13, device=times.device)
         later = -torch.tensor(ahead_s, device=times.device) / self._dt_s
@@ -113,12 +114,12 @@ class ReferenceMotions:
 
 
 class AdaptiveStarts(Stateful):
-    """Draws clip times in proportion to the rate of early failures of episodes that start there.
+    """Draws more start times where recent episodes failed early.
 
-    Episodes that start just before a take-off or a landing end early. DeepMimic (Peng et al. 2018,
-    arXiv 1804.02717) draws start times evenly. Trackers such as PHC (Luo et al. 2023, arXiv
-    2305.06456) draw clips by their failures. Here, clips are divided into bins of 0.1 s with equal
-    initial rates.
+    Episodes that start just before a take-off or a landing often fail early. DeepMimic (Peng et al.
+    2018, arXiv 1804.02717) draws start times uniformly. Trackers such as PHC (Luo et al. 2023,
+    arXiv 2305.06456) draw clips in proportion to their failures. This class divides clips into bins
+    of 0.1 s with equal initial failure rates, and draws bins in proportion to these rates.
 
     `lengths_s` and `weights` (M,) are the durations and probabilities of M clips. A failure within
     `soon_steps` counts as early.
@@ -138,10 +139,10 @@ class AdaptiveStarts(Stateful):
         self._share = weights.to(self._width_s)[self._clip] / counts[self._clip]
         self._soon_steps = soon_steps
         self.failure_rate = torch.full_like(self._start_s, 0.5)
-        """(B,) share of early failures among recent episodes that started in each bin."""
+        """(B,) shares of early failures among recent episodes that started in the bins."""
 
     def draw(self, n: int) -> tuple[Tensor, Tensor]:
-        """Return clips (n,) and times (n,) s."""
+        """Draw clips (n,) and times (n,) s."""
         weights = self._share * self.failure_rate
         if not bool(weights.sum() > 0):
             weights = self._share
@@ -155,9 +156,9 @@ class AdaptiveStarts(Stateful):
         return self._first[clips] + torch.minimum(place, self._counts[clips] - 1)
 
     def count(self, bins: Tensor, steps: Tensor, failed: Tensor) -> None:
-        """Update the failure rates with ended episodes (n,): start bin, control steps, failure.
+        """Update the failure rates by the start bins, control steps and failures of ended episodes.
 
-        Short episodes that did not fail say nothing and are not counted.
+        Short episodes that did not fail are ignored, because they might have failed soon.
         """
         failed_soon = failed & (steps <= self._soon_steps)
         is_known = failed_soon | (steps > self._soon_steps)
@@ -179,9 +180,9 @@ class ClipStarts(Stateful):
         config: the settings `state_init` and `adaptive_starts`.
         num_envs: N.
         control_dt_s: duration of a control step.
-        soon_limit: episode length in control steps; only failures in its first half count as early.
-        ahead_s: times (s) after a start at which the goal needs the root state.
-        ends_with_clip: True: episodes end with their clip.
+        soon_limit: episode length in control steps. Only failures in its first half count as early.
+        ahead_s: the goal needs the root states at these times (s) after a start.
+        ends_with_clip: whether episodes end with their clip.
     """
 
     stored = ("clips", "times_s", "_rows", "_left", "adaptive")
@@ -211,13 +212,13 @@ class ClipStarts(Stateful):
                 min(round(_FAILS_SOON_S / control_dt_s), soon_limit // 2),
             )
         self._block = min(num_envs, _STARTS_AT_A_TIME)
-        # The running episodes started at these clips and times; -1 means the default pose.
+        # Clips and times at which the running episodes started. Clip -1 is the default pose.
         self.clips = torch.full((num_envs,), -1, dtype=torch.int64, device=device)
         self.times_s = torch.zeros(num_envs, device=device)
         self.clear()
 
     def clear(self) -> None:
-        """Discard the drawn starts, so that the generator's state determines the next ones."""
+        """Discard drawn starts, so that the random generator's state determines the next ones."""
         self._rows: tuple[Tensor, ...] = ()
         self._left = 0
 
@@ -232,7 +233,7 @@ class ClipStarts(Stateful):
         if n > self._block:
             rows = self._draw(n)
         else:
-            if n > self._left:  # the rest of the previous block is discarded
+            if n > self._left:  # discard the rest of the previous block
                 self._rows, self._left = self._draw(self._block), self._block
             first = self._block - self._left
             self._left -= n
@@ -244,7 +245,7 @@ class ClipStarts(Stateful):
 
     @torch.inference_mode()
     def _draw(self, n: int) -> tuple[Tensor, ...]:
-        """Return the tensors of `next`, and the clips (n,) and times (n,) s."""
+        """Draw starts, and return the tensors of `next`, the clips (n,) and the times (n,) s."""
         motions = self._motions
         motion_ids, times = self._draw_moments(n)
         states = motions.states(motion_ids, times, self._steps)

@@ -40,16 +40,16 @@ from isaacgymenvs_lite.utils.rotations import xyzw_from_wxyz
 
 log = logging.getLogger(__name__)
 
-_ROOT = 7  # qpos values of the free joint
-_STANDING_M_S = 0.05  # clips with a lower mean speed stand
-_TERMINATION_SHARE = 0.45  # of the trunk's height: kneeling, but not crouching
+_ROOT = 7  # number of qpos values of the free joint
+_STANDING_M_S = 0.05  # a clip with a lower mean speed counts as standing
+_TERMINATION_SHARE = 0.45  # of the trunk's height; kneeling is lower, crouching is higher
 _MAX_FRAMES = 100
 _MAX_DELAY = 100  # control steps
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationNoise:
-    """`task.env.observationNoise`: half widths of uniform noise on the parts of a frame."""
+    """`task.env.observationNoise`: half widths of uniform noise on measured quantities."""
 
     root_ang_vel_b: float = setting(0.0, minimum=0)  # rad/s
     gravity_b: float = setting(0.0, minimum=0)
@@ -59,7 +59,7 @@ class ObservationNoise:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotAMPConfig(HumanoidAMPConfig, RobotSettings):
-    """`task.env` of RobotAMP: HumanoidAMP's keys and the robot's; null: derived from the model."""
+    """`task.env` of RobotAMP. The model determines the keys of the robot that are null."""
 
     motion_file: str = setting("g1_walk.npz")
     contact_bodies: tuple[str, ...] = setting((), key="contactBodies")
@@ -87,7 +87,7 @@ def check_realism(settings: RobotAMPConfig, env: dict[str, Any]) -> None:
     """Check settings that depend on each other.
 
     Raises:
-        ConfigError: an empty range, an unknown part of the noise, or a key without effect.
+        ConfigError: a range is empty, a part of the noise is unknown, or a key has no effect.
     """
     noise = env.get("observationNoise")
     read_section(ObservationNoise, noise, "task.env.observationNoise", complete=True)
@@ -116,15 +116,16 @@ def check_realism(settings: RobotAMPConfig, env: dict[str, Any]) -> None:
 
 
 class RobotAMP(HumanoidAMP):
-    """A robot from a file; bodies, drives and start pose are derived from the model or set by keys.
+    """A robot from a file, whose bodies, drives and start pose come from the model or from keys.
 
-    PD targets are offsets from the start pose, and efforts are limited, unlike in HumanoidAMP. If
-    `observations` is `deployable`, the policy observes frames, see `deployable_observations`. An
-    asymmetric critic then observes the full state. Noise affects only the policy's frames, and the
-    AMP observation does not change.
+    Actions are offsets of PD targets from the start pose, and efforts are limited, unlike in
+    HumanoidAMP. If `observations` is `deployable`, the policy observes frames of measured
+    quantities (see `deployable_observations`), and an asymmetric critic observes the full state.
+    Noise affects only the policy's frames. The AMP observation is the same as with full
+    observations.
 
     Raises:
-        ConfigError: a file or key is invalid, see `robots.load.load_robot`.
+        ConfigError: a file or key is invalid (see `robots.load.load_robot`).
         MotionFileError: a clip is invalid or belongs to another robot.
     """
 
@@ -134,13 +135,13 @@ class RobotAMP(HumanoidAMP):
     num_dofs_of_assets = ()
 
     def read_settings(self, env: dict[str, Any]) -> RobotAMPConfig:
-        """Check `task.env`, including keys that depend on each other."""
+        """Check and return the keys of `task.env`, including those that depend on each other."""
         config: RobotAMPConfig = super().read_settings(env)
         check_realism(config, env)
         return config
 
     def build_model(self) -> mujoco.MjModel:
-        """Return the model of the robot on a floor, and log how it was derived."""
+        """Return the model of the robot on a floor, and log what was derived from the file."""
         path = asset_path(self.env_cfg.asset, self.default_asset)
         self._robot = load_robot(path, self.env_cfg, "task.env")
         self._spec = self._robot.spec
@@ -189,7 +190,7 @@ class RobotAMP(HumanoidAMP):
         return _TERMINATION_SHARE * self._robot.trunk_height if height is None else height
 
     def _pd_offset_scale(self, lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
-        """Return offset and scale (D,) of PD targets: the start pose, and `actionScale`."""
+        """Return the start pose (D,) and `actionScale` (D,) as offset and scale of PD targets."""
         offset = self.default_pose()[1].to(lower)
         return offset, torch.full_like(offset, self._action_scale_rad())
 
@@ -200,12 +201,12 @@ class RobotAMP(HumanoidAMP):
         return history_groups(self._layout.num_dofs, self.env_cfg.history_steps)
 
     def observation_frames(self) -> dict[str, str]:
-        """Return the frames of the observation parts, including measured ones."""
+        """Return the coordinate frames of the observation parts, including measured quantities."""
         measured = {"root_ang_vel_b": "base", "gravity_b": "base", "dof_pos_offset": "joint"}
         return super().observation_frames() | measured
 
     def states_size(self) -> int:
-        """Return the dimension of the privileged observation, see `compute_states`."""
+        """Return the dimension of the privileged observation (see `compute_states`)."""
         if not self.env_cfg.is_deployable:
             return super().states_size()
         own = self._num_amp_obs_per_step + self._layout.num_dofs + 1
@@ -231,7 +232,7 @@ class RobotAMP(HumanoidAMP):
             self._delay = ActionDelay(least, most, n, self.num_actions, self.device)
 
     def pre_physics_step(self, actions: Tensor) -> None:
-        """Push the robots if a push is due, then run the base method."""
+        """Apply pushes that are due, then run the base method."""
         is_due = self.control_steps > 0 and self.control_steps % self.push_interval == 0
         if self.env_cfg.push_robots and is_due:
             largest = self.env_cfg.push_velocity
@@ -244,13 +245,13 @@ class RobotAMP(HumanoidAMP):
         return super().compute_controls(actions if self._delay is None else self._delay(actions))
 
     def update_state(self) -> None:
-        """Run the base method and add the newest frames to the history."""
+        """Run the base method, and add the newest measurements to the history."""
         super().update_state()
         if self._frames is not None:
             push_newest(self._frames, self._measure(None, self.actions))
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Run the base method, draw delays, and fill the history with the first frame."""
+        """Run the base method, draw delays, and fill the history with the first measurement."""
         super().reset_state(env_ids)
         if self._delay is not None:
             self._delay.reset(env_ids)
@@ -260,13 +261,13 @@ class RobotAMP(HumanoidAMP):
             self._frames.index_copy_(0, env_ids, first)
 
     def _measure(self, env_ids: Tensor | None, last_action: Tensor) -> Tensor:
-        """Return noisy frames of all robots, or of `env_ids` (n,)."""
+        """Return noisy measurements of robots `env_ids` (n,). None selects all robots."""
         root_states, dof_pos, dof_vel, _ = self._character_states(env_ids)
         frame = compute_frame(root_states, dof_pos, dof_vel, self._start_dof_pos, last_action)
         return frame if self._noise_widths is None else add_noise(frame, self._noise_widths)
 
     def _observe_clip(self, states: CharacterState) -> Tensor | None:
-        """Return None for frames: clips do not contain actions."""
+        """Return None if the policy observes frames, because clips do not contain actions."""
         return super()._observe_clip(states) if self._frames is None else None
 
     def _observe_character(self, env_ids: Tensor | None) -> Tensor:
@@ -278,8 +279,8 @@ class RobotAMP(HumanoidAMP):
     def compute_states(self, env_ids: Tensor | None, observations: Tensor) -> Tensor:
         """Return the privileged observations (n, numStates) of a `deployable` policy's critic.
 
-        They contain the full noise-free observation, the clamped action of the last step (D), the
-        action delay (1, control steps), and the goal.
+        The privileged observations contain the full observation without noise, the clamped action
+        of the last step (D), the action delay (1, control steps), and the goal.
         """
         if self._frames is None:
             return observations
@@ -292,12 +293,12 @@ class RobotAMP(HumanoidAMP):
         return torch.cat((super()._observe_character(env_ids), last_action, delay, goal), dim=-1)
 
     def current_amp_features(self, env_ids: Tensor | None = None) -> Tensor:
-        """Return one step of the AMP observation, even if the policy observes frames."""
+        """Return one step of the AMP observation, for full and for `deployable` observations."""
         if self._frames is None:
             return super().current_amp_features(env_ids)
         if self.num_states == 0:
             return self._amp_features(self._character_states(env_ids))
-        # The privileged observation starts with it.
+        # The privileged observation starts with one step of the AMP observation.
         features = self.states_buf[:, : self._num_amp_obs_per_step]
         return features if env_ids is None else features.index_select(0, env_ids)
 
@@ -306,14 +307,14 @@ class RobotAMPVelocity(RobotAMP):
     """RobotAMP that follows velocity commands in the style of its clips.
 
     Raises:
-        ConfigError: see `RobotAMP`; or commands need motion, but no clip moves along the ground.
+        ConfigError: a setting is invalid, or commands need motion but no clip moves horizontally.
     """
 
     goal_class = Velocity
     goal: Velocity
 
     def create_sim(self) -> None:
-        """Create the simulations; refuse clips that all stand, and warn of sideways motion."""
+        """Create the simulations, refuse clips that all stand, and warn of sideways motion."""
         super().create_sim()
         ranges = self.goal.settings.command_ranges
         if not any((*ranges.linear_x, *ranges.linear_y)):

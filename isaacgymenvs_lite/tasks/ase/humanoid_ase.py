@@ -32,9 +32,9 @@ class HumanoidASEConfig(HumanoidAMPConfig):
     )
     num_amp_obs_steps: int = setting(10, key="numAMPObsSteps", minimum=2, maximum=1000)
     local_root_obs: bool = setting(True, key="localRootObs")
-    """True removes the heading from the root rotation in the AMP observation, but keeps it in the
-    policy observation. ASE's files and checkpoints rely on that."""
-    root_height_obs: bool = setting(True, key="rootHeightObs")  # False observes height 0
+    """If True, the AMP observation excludes the heading from the root rotation, and the policy
+    observation includes it. ASE's files and checkpoints rely on this difference."""
+    root_height_obs: bool = setting(True, key="rootHeightObs")  # False: observe 0 instead
     key_bodies: tuple[str, ...] = setting(
         ("right_hand", "left_hand", "right_foot", "left_foot"), key="keyBodies", min_length=1
     )
@@ -55,21 +55,21 @@ class GetupConfig(HumanoidASEConfig):
 def read_ase_config(
     env: dict[str, Any], cls: type[HumanoidASEConfig] = HumanoidASEConfig
 ) -> HumanoidASEConfig:
-    """Return the checked keys of `task.env`, except the goal's keys."""
+    """Check and return the keys of `task.env`, except the goal's keys."""
     getup = keys_of(GetupConfig) - keys_of(cls)
     return read_section(cls, env, "task.env", ignored=(*UNREAD_ENV_KEYS, *goal_keys(), *getup))
 
 
-# This file has ASE's drives; `amp_humanoid.xml` has IsaacGymEnvs'.
+# This file has the drives of ASE, and `amp_humanoid.xml` has those of IsaacGymEnvs.
 _ASSET_OF_DRIVES = "mjcf/amp_humanoid_sword_shield.xml"
 HEAD = "head"
-# These bodies have larger termination heights (m).
+# These bodies have larger termination heights (m) than all other bodies.
 _HIGH_BODIES = {HEAD: 0.3}
 _HIGH_BODIES_WITH_SHIELD = {"left_lower_arm": 0.32}
 
 
 def copy_drives(source: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
-    """Copy gains, efforts and armatures from actuators and joints of the same names."""
+    """Copy gains, efforts and armatures between actuators and joints of the same names."""
     drives = {actuator.name: actuator for actuator in source.actuators}
     joints = {joint.name: joint for joint in source.joints}
     for actuator in spec.actuators:
@@ -83,28 +83,28 @@ def copy_drives(source: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
 
 
 class HumanoidASE(HumanoidAMP):
-    """HumanoidAMP with the conventions of the ASE release, and a goal.
+    """HumanoidAMP with the conventions of the ASE release and with a goal.
 
-    It differs from HumanoidAMP in these points:
+    HumanoidASE differs from HumanoidAMP in these points:
 
     - The policy observes all bodies and the goal.
     - The AMP observation encodes hinges as rotations.
     - The drives are stiffer, and targets of ball joints reach 1.2 times their limits.
-    - A head below 0.3 m counts as fallen.
+    - A character whose head is below 0.3 m counts as fallen.
 
-    The humanoid with sword and shield (31 degrees of freedom) is another asset.
+    Another asset is the humanoid with sword and shield, which has 31 degrees of freedom.
     """
 
     amp_obs_as_ase = True
     num_dofs_of_assets = (28, 31)
     settings_class: ClassVar[type[HumanoidASEConfig]] = HumanoidASEConfig
     goal_name: ClassVar[str] = ""
-    """Name of the goal, if the task has a fixed goal."""
+    """Name of the goal if the task allows only one goal."""
 
     env_cfg: HumanoidASEConfig
 
     def read_settings(self, env: dict[str, Any]) -> HumanoidASEConfig:
-        """Check `task.env` and create the goal; raise ConfigError for a goal of another task."""
+        """Check `task.env` and create the goal. Raise ConfigError for the goal of another task."""
         config = read_ase_config(env, self.settings_class)
         if self.goal_name and env.get("goal", self.goal_name) != self.goal_name:
             raise ConfigError(
@@ -153,7 +153,7 @@ class HumanoidASE(HumanoidAMP):
         )
 
     def _observe_clip(self, states: CharacterState) -> Tensor | None:
-        """Return observations of all bodies, whose motion the simulation computes."""
+        """Return observations of all bodies, with body motions that the simulation computes."""
         root_states, dof_pos, dof_vel, _ = states
         observations = []
         for rows in torch.arange(len(root_states), device=self.device).split(self.num_envs):

@@ -1,4 +1,4 @@
-"""HumanoidASEGetup: skills that include getting up, as in ASE's HumanoidAMPGetup."""
+"""HumanoidASEGetup: characters learn skills and getting up, as in ASE's HumanoidAMPGetup."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.vec_task import Done
 
 _FALL_ACTION = 0.5
-_FALL_S = 2.5  # dropped characters then lie still
+_FALL_S = 2.5  # dropped characters lie still after this time
 
 
 class HumanoidASEGetup(HumanoidASE):
     """HumanoidASE in which some episodes start on the ground.
 
-    After some falls the next episode continues from the fallen pose. Other episodes start in a
-    random fallen pose. Neither falls nor the time limit end these episodes in the first
-    `recoverySteps` control steps.
+    After some falls, the next episode continues from the fallen pose. Some other episodes start in
+    a random fallen pose. In the first `recoverySteps` control steps, neither a fall nor the time
+    limit ends these two kinds of episodes.
 
     Without a goal, the reward is the mean of two terms, for the heights of root and head. A term is
-    1 at the standing height, and 0 on the ground and at twice the height. A reward of the root
-    alone teaches lifting it with the hands on the ground, and a reward of any height teaches
-    leaping. ASE's constant reward does not teach getting up.
+    1 at the standing height, and 0 on the ground and at twice the standing height. With a reward of
+    the root's height only, characters learn to lift the root while the hands stay on the ground.
+    With a reward that grows beyond the standing height, characters learn to leap. With ASE's
+    constant reward, characters do not learn to get up.
 
     Attributes:
-        fallen_root_states: (N, 13) characters at rest on the ground.
-        fallen_dof_pos: (N, D) rad, their joint positions.
+        fallen_root_states: (N, 13) root states of characters at rest on the ground.
+        fallen_dof_pos: (N, D) rad, joint positions of these characters.
         recovery_steps_left: (N,) remaining control steps to get up.
     """
 
@@ -40,7 +41,8 @@ class HumanoidASEGetup(HumanoidASE):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.fallen_root_states, self.fallen_dof_pos = self._let_fall()
-        # All characters count as fallen, so that some first episodes continue from here.
+        # All characters count as fallen, so that some first episodes continue from the present
+        # pose.
         self.done_buf.fill_(Done.FAILED)
         self._amp_obs_buf.copy_(self.current_amp_features().unsqueeze(1))
 
@@ -51,9 +53,9 @@ class HumanoidASEGetup(HumanoidASE):
 
     @torch.inference_mode()
     def _let_fall(self) -> tuple[Tensor, Tensor]:
-        """Drop all characters in random attitudes; return root states (N, 13) and joints (N, D).
+        """Drop all characters in random attitudes, and return roots (N, 13) and joints (N, D).
 
-        The characters stay there, because their first episodes may start there.
+        The characters stay in their fallen poses, because their first episodes may start there.
         """
         n, sim = self.num_envs, self.simulation
         env_ids = torch.arange(n, device=self.device)
@@ -77,28 +79,28 @@ class HumanoidASEGetup(HumanoidASE):
         self.recovery_steps_left.sub_(1).clamp_(min=0)
 
     def compute_reward_terms(self) -> Terms:
-        """Return the reward of standing upright, 0 to 1, or the goal's reward."""
+        """Return the goal's reward, or without a goal the reward in [0, 1] of standing upright."""
         if self.goal.num_obs > 0:
             return super().compute_reward_terms()
         off = (self._heights_m() / self._standing_m - 1.0).abs()
         return {"upright": (1.0 - off).clamp(min=0.0).mean(dim=1)}
 
     def _heights_m(self) -> Tensor:
-        """Return the heights (N, 2) m of root and head; (N, 1) without a head."""
+        """Return the heights (N, 2) m of root and head, or (N, 1) if there is no head."""
         sim = self.simulation
         head = [sim.body_names.index(HEAD)] if HEAD in sim.body_names else []
         return torch.cat((sim.root_states[:, 2:3], sim.body_pos[:, head, 2]), dim=1)
 
     def compute_failures(self) -> Tensor:
-        """Return (N,) bool: the character fell, and has no time left to get up."""
+        """Return which characters (N,) are fallen and have no time left to get up."""
         return super().compute_failures() & (self.recovery_steps_left == 0)
 
     def compute_time_outs(self) -> Tensor:
-        """Return (N,) bool: the time limit is reached, with no time left to get up."""
+        """Return which episodes (N,) reached the time limit and have no time left to get up."""
         return super().compute_time_outs() & (self.recovery_steps_left == 0)
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Leave some characters where they are, lay some down, and start the others in clips."""
+        """Continue from falls, put some characters into fallen poses, and start others in clips."""
         cfg = self.env_cfg
         # A diverged simulation has no valid pose to continue from.
         lies_there = (self.done_buf == Done.FAILED) & ~self.simulation.failed
@@ -120,6 +122,6 @@ class HumanoidASEGetup(HumanoidASE):
         self.recovery_steps_left.index_fill_(0, down, cfg.recovery_steps)
 
     def _start_histories(self, env_ids: Tensor) -> None:
-        """Keep the histories of characters whose motion continues."""
+        """Start new histories, except for characters that stay in their poses."""
         starts_new = ~torch.isin(env_ids, self._going_on_ids)
         super()._start_histories(env_ids[starts_new])

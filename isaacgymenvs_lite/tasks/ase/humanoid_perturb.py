@@ -15,7 +15,7 @@ from isaacgymenvs_lite.tasks.goals.boxes import add_box
 from isaacgymenvs_lite.utils.rotations import normalize
 
 _SMALL, _LARGE = (0.2, 200.0), (0.5, 100.0)  # edge (m) and density (kg/m^3)
-# Each throw has a kind of box and the control steps since the previous throw.
+# A throw is a kind of box and a number of control steps since the previous throw.
 _THROWS = (
     *((_SMALL, wait) for wait in (60, 7, 10, 35, 2, 2, 3, 2, 2, 3, 2)),
     (_LARGE, 60),
@@ -33,10 +33,10 @@ def throw_steps() -> tuple[int, ...]:
 
 
 class HumanoidPerturb(HumanoidASE):
-    """A robustness test, not for training: episodes end at the time limit only.
+    """A robustness test of a trained policy, whose episodes end only at the time limit.
 
-    Twelve boxes of 1.6 kg and one of 12.5 kg come from random sides at 30 to 40 m/s. The episode of
-    the first environment determines when they are thrown.
+    Twelve boxes of 1.6 kg and one box of 12.5 kg come from random sides at 30 to 40 m/s. The
+    control step in the episode of the first environment determines when a box is thrown.
     """
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
@@ -61,7 +61,7 @@ class HumanoidPerturb(HumanoidASE):
             self.throw(self._box_at_step[clock])
 
     def throw(self, box: int) -> None:
-        """Throw a box at all characters, by its index in `simulation.object_names`."""
+        """Throw the object with index `box` in `simulation.object_names` at all characters."""
         env_ids = torch.arange(self.num_envs, device=self.device)
         sim = self.simulation
         torso, root = sim.body_pos[:, self._aim_body], sim.root_states[:, :3]
@@ -79,5 +79,5 @@ class HumanoidPerturb(HumanoidASE):
         )
 
     def compute_failures(self) -> Tensor:
-        """Return (N,) False: falls do not end episodes."""
+        """Return False (N,), because falls do not end episodes."""
         return torch.zeros_like(self.timeout_buf)

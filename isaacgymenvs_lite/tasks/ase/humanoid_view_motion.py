@@ -1,4 +1,4 @@
-"""HumanoidViewMotion: the character is moved along the clips, as in ASE."""
+"""HumanoidViewMotion: the characters play the clips without physics, as in ASE."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE, HumanoidASECon
 
 
 class HumanoidViewMotion(HumanoidASE):
-    """Plays clips without physics: environment i starts with clip i and continues with the next.
+    """Plays clips without physics. Environment i starts with clip i and then plays the next clips.
 
-    Actions have no effect. A step is one control step of playback, and an episode is one clip.
+    Actions have no effect. A step plays one control step of a clip, and an episode plays one clip.
     """
 
     def read_settings(self, env: dict[str, Any]) -> HumanoidASEConfig:
-        """Return the settings with motors, whose controls are zero."""
+        """Return the settings with torque motors, because their controls can be zero."""
         return dataclasses.replace(super().read_settings(env), pd_control=False)
 
     def simulator_calls(self) -> int:
-        """Return 1: the clips overwrite the result of the physics."""
+        """Return 1, because the clips overwrite the result of the physics."""
         return 1
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
@@ -33,13 +33,13 @@ class HumanoidViewMotion(HumanoidASE):
             geom.contype = geom.conaffinity = 0
 
     def allocate_buffers(self) -> None:
-        """Add the clip (N,) of each environment."""
+        """Add the ids (N,) of the played clips."""
         super().allocate_buffers()
         clips = torch.arange(self.num_envs, device=self.device)
         self._motion_ids = clips % self.motion_lib.num_motions()
 
     def action_scaling(self) -> None:
-        """Return None: actions have no effect."""
+        """Return None, because actions have no effect."""
         return None
 
     def pre_physics_step(self, actions: Tensor) -> None:
@@ -47,7 +47,7 @@ class HumanoidViewMotion(HumanoidASE):
         super().pre_physics_step(torch.zeros_like(actions))
 
     def post_physics_step(self) -> None:
-        """Show the clips at the time of this step, then run the base method."""
+        """Put the characters into their clips' states at this step, then run the base method."""
         env_ids = torch.arange(self.num_envs, device=self.device)
         self._show(env_ids, self.progress_buf + 1)
         super().post_physics_step()
@@ -61,16 +61,16 @@ class HumanoidViewMotion(HumanoidASE):
         self.simulation.write_state(env_ids, root_states, state.dof_pos, at_rest)
 
     def compute_failures(self) -> Tensor:
-        """Return (N,) False: playback does not fail."""
+        """Return False (N,), because playing a clip cannot fail."""
         return torch.zeros_like(self.timeout_buf)
 
     def compute_time_outs(self) -> Tensor:
-        """Return (N,) bool: the clip is over."""
+        """Return which clips (N,) are over."""
         lengths = self.motion_lib.get_motion_length(self._motion_ids)
         return self.progress_buf * self.control_dt_s > lengths
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Continue with the next clips; the first episodes keep their clips."""
+        """Start the next clip of each environment, or its first clip in a first episode."""
         is_over = self.progress_buf.index_select(0, env_ids) > 0
         clips = self._motion_ids.index_select(0, env_ids) + is_over * self.num_envs
         self._motion_ids.index_copy_(0, env_ids, clips % self.motion_lib.num_motions())

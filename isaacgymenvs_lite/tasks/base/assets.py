@@ -32,9 +32,10 @@ def asset_path(
 
     Args:
         asset: the section.
-        own: path of the task's own file, relative to assets/.
-        published: file names of published task files, for which `own` is used if they do not exist.
-        key: key of the file name, for messages.
+        own: path of this project's file for the task, relative to assets/.
+        published: file names in published task files. If such a file does not exist, `own` replaces
+            it.
+        key: key of the file name, which messages contain.
 
     Raises:
         ConfigError: the file does not exist.
@@ -56,7 +57,7 @@ def asset_path(
 
 
 def shipped_assets() -> str:
-    """Return the names of the project's MJCF files, for messages."""
+    """Return the names of the project's MJCF files as text for messages."""
     return ", ".join(
         sorted(str(p.relative_to(assets_dir())) for p in assets_dir().glob("mjcf/*.xml"))
     )
@@ -69,9 +70,9 @@ def compile_model(
     dynamic_friction: float,
     change: Callable[[mujoco.MjSpec], None] = lambda spec: None,
 ) -> mujoco.MjModel:
-    """Compile an MJCF file with the task's time step, gravity and friction; see `compile_spec`.
+    """Compile an MJCF file with the task's time step, gravity and friction (see `compile_spec`).
 
-    A file outside of assets/, except the task's own file `own`, is read as an untrusted robot file.
+    A file is read as an untrusted robot file, unless it is in assets/ or is the task's file `own`.
     """
     file, ours = path.resolve(), assets_dir().resolve()
     if file.is_relative_to(ours) or file == (ours / own).resolve():
@@ -94,8 +95,8 @@ def compile_spec(
 ) -> mujoco.MjModel:
     """Compile a specification with the task's time step, gravity and friction.
 
-    `spec` holds the contents of the file at `path`, and `change` is applied to it first.
-    `dynamic_friction` is the coefficient of sliding friction with the geom `floor`.
+    `spec` holds the contents of the file at `path`, and the function `change` is applied to `spec`
+    first. `dynamic_friction` is the coefficient of sliding friction with the geom `floor`.
 
     Raises:
         ConfigError: MuJoCo cannot compile the specification.
@@ -105,7 +106,7 @@ def compile_spec(
         model = spec.compile()
     model.opt.timestep = sim.dt / sim.substeps
     model.opt.gravity[:] = sim.gravity
-    # MuJoCo uses the larger coefficient of two touching geoms, so all get the floor's coefficient.
+    # MuJoCo uses the larger coefficient of two touching geoms, so all geoms get the same one.
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor") >= 0:
         model.geom_friction[:, 0] = dynamic_friction
     return model
@@ -122,7 +123,7 @@ def explained(path: Path) -> Iterator[None]:
 
 
 def hinge_limits(model: mujoco.MjModel, layout: ModelLayout) -> npt.NDArray[np.float64]:
-    """Return the limits (D, 2) of hinges (rad) and slides (m), and 0 for other joints."""
+    """Return the limits (D, 2) of hinges (rad) and slides (m). Limits of other joints are 0."""
     limits = np.zeros((layout.num_dofs, 2))
     for dof in layout.scalar_dofs:
         limits[dof] = model.joint(layout.dof_names[dof]).range

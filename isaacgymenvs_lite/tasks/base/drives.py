@@ -6,8 +6,8 @@ position after the step is q' = q + h v', and the momentum of the joint is
     (I + h d + h^2 k) v' = I v + h k (target - q) + other impulses.
 
 An armature of h d + h^2 k and a damping of d + h k on the previous velocity give the same v'.
-MuJoCo's implicit integrators include only the damping. They apply it after the constraints, and
-then the pins of a driven closed chain give way.
+MuJoCo's implicit integrators include only the damping. They apply the damping after the
+constraints, which lets the pins of a driven closed chain come apart.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Common parts of Quadcopter and Ingenuity: a free body learns to hover at a target.
 
-The formulas are IsaacGymEnvs'. The rewarded spin is about the world's vertical axis, not about the
-body axis. PhysX limits the angular velocity in every physics step; here the limit applies at the
-end of a control step.
+The formulas are those of IsaacGymEnvs. The reward depends on the spin about the world's vertical
+axis, not about the body axis. The angular velocity is limited after every control step, whereas
+PhysX limits it in every physics step.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.task_config import TaskConfig
 
 HOME_M = (0.0, 0.0, 1.0)
-"""Position of the body in the model, and the centre of its start positions."""
+"""Position of the body in the model, and centre of the random start positions."""
 _START_ASIDE_M = (-1.5, 1.5)
 _START_ABOVE_M = (-0.2, 1.5)
 _MAX_ANGULAR_VELOCITY_RAD_S = 4.0 * math.pi
@@ -33,7 +33,7 @@ _ANGULAR_VELOCITY_SCALE = 1.0 / math.pi
 
 
 def compute_flight_observations(to_target: Tensor, root_states: Tensor) -> Tensor:
-    """Return scaled observations (N, 13): vector to the target, rotation xyzw, both velocities.
+    """Return (N, 13): vector to the target, rotation xyzw, linear and angular velocity, scaled.
 
     `to_target` (N, 3) is in m, in world axes.
     """
@@ -51,10 +51,10 @@ def compute_flight_observations(to_target: Tensor, root_states: Tensor) -> Tenso
 def compute_hover_reward(
     to_target: Tensor, root_rot: Tensor, spin: Tensor, upright_weight: float
 ) -> Terms:
-    """Return the reward terms (N,); being upright and not spinning counts near the target only.
+    """Return the reward terms (N,), where rewards of attitude and spin shrink with the distance.
 
     `to_target` (N, 3) is in m, `root_rot` (N, 4) is xyzw. `spin` (N,) is the angular velocity about
-    the vertical (rad/s), and `upright_weight` the largest reward of being upright.
+    the vertical (rad/s). `upright_weight` is the largest reward for being upright.
     """
     near = 1.0 / (1.0 + to_target.square().sum(-1))
     x, y = root_rot[:, 0], root_rot[:, 1]
@@ -69,12 +69,12 @@ def compute_hover_reward(
 def compute_flight_failures(
     to_target: Tensor, height: Tensor, max_distance_m: float, min_height_m: float
 ) -> Tensor:
-    """Return (N,) bool: the body is too far from the target or its height (N,) is too low (m)."""
+    """Return where (N,) the body is too far from the target or its height (N,) m is too low."""
     return (to_target.norm(dim=-1) > max_distance_m) | (height < min_height_m)
 
 
 def draw_start_states(env_ids: Tensor) -> Tensor:
-    """Return states (n, 13) of upright bodies at rest near `HOME_M`."""
+    """Draw states (n, 13) of upright bodies at rest near `HOME_M`."""
     states = torch.zeros(len(env_ids), 13, device=env_ids.device)
     states[:, :2] = uniform(env_ids, *_START_ASIDE_M, (2,))
     states[:, 2] = HOME_M[2] + uniform(env_ids, *_START_ABOVE_M)
@@ -98,7 +98,7 @@ class HoverTask(MjcfTask):
     min_height_m: ClassVar[float]
 
     def update_state(self) -> None:
-        """Limit the angular velocity: at a higher one, a large time step would add energy."""
+        """Limit the angular velocity, because large time steps add energy to fast rotations."""
         sim = self.simulation
         turning = sim.root_states[:, 10:].square().sum(-1)
         env_ids = (turning > _MAX_ANGULAR_VELOCITY_RAD_S**2).nonzero().flatten()

@@ -1,7 +1,7 @@
 """Pure functions of the AMP humanoid: observations, early termination and PD targets.
 
 The formulas come from IsaacGymEnvs' HumanoidAMP and from ASE (Peng et al. 2022, arXiv 2205.01906).
-There are N environments, B bodies with the root first, D degrees of freedom, and K key bodies.
+There are N environments, B bodies (the first is the root), D degrees of freedom, and K key bodies.
 """
 
 from __future__ import annotations
@@ -22,20 +22,21 @@ from isaacgymenvs_lite.utils.rotations import (
 
 _NUM_ROOT_OBS = 1 + 6 + 3 + 3  # height, rotation, linear and angular velocity
 _CONTACT_THRESHOLD_N = 0.1
-# Targets beyond the limits keep the motors strong near the limits.
+# PD targets beyond the joint limits keep the torques large near the limits.
 _HINGE_TARGET_SHARE, _BALL_TARGET_SHARE = 0.7, 1.2
 
 
 @lru_cache(maxsize=8)
-@torch.inference_mode(False)  # callers outside of inference mode share the cache
+@torch.inference_mode(False)  # cached tensors must also work outside of inference mode
 def _dof_obs_layout(
     dof_offsets: tuple[int, ...], as_ase: bool, device: torch.device
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return the index tensors of `_dof_features`.
 
-    The first holds the DOFs of the ball joints: all x, then all y, then all z. The second holds the
-    DOFs of the hinges. The third sorts features by joint. Unsorted features begin with all ball
-    joints, component by component, and all hinges follow.
+    The first tensor holds the DOFs of the ball joints: all x, then all y, then all z. The second
+    tensor holds the DOFs of the hinges. The third tensor sorts features by joint. Unsorted features
+    begin with the first component of all ball joints, and the hinges follow after the last
+    component.
     """
     groups = list(itertools.pairwise(dof_offsets))
     balls = [a + axis for axis in range(3) for a, b in groups if b - a == 3]
@@ -62,7 +63,7 @@ def num_humanoid_obs(
 ) -> int:
     """Return the dimension of an observation of `compute_humanoid_observations`.
 
-    `dof_offsets` and `as_ase` are described in `dof_to_obs`.
+    `dof_to_obs` describes `dof_offsets` and `as_ase`.
     """
     sizes = [end - first for first, end in itertools.pairwise(dof_offsets)]
     joints = sum(6 if as_ase or size == 3 else 1 for size in sizes)
@@ -74,20 +75,20 @@ def dof_to_obs(
 ) -> Tensor:
     """Encode joint positions for the observation, in joint order.
 
-    IsaacGymEnvs encodes a 3-DoF joint by the tangent and normal of its rotation vector (6 values),
-    and a hinge by its angle. A rotation vector longer than pi counts as the identity. ASE accepts
-    vectors of any length. ASE also encodes a hinge by tangent and normal, as a rotation about y for
-    any axis.
+    IsaacGymEnvs encodes a 3-DoF joint by the tangent and normal of its rotation (6 values), and a
+    hinge by its angle. IsaacGymEnvs treats a rotation vector longer than pi as the identity. ASE
+    accepts rotation vectors of any length. ASE encodes hinges by tangent and normal, too, and
+    treats every hinge axis as y.
 
     Args:
         dof_pos: (N, D) rad.
-        as_ase: True selects ASE's encoding.
-        dof_offsets: first degree of freedom of each joint, followed by D. None means the shipped
+        as_ase: whether to use ASE's encoding.
+        dof_offsets: first degree of freedom of each joint, followed by D. None selects the shipped
             humanoid with D = 28 or 31.
 
     Returns:
-        (N, 6 per 3-DoF joint + 1 per hinge), or (N, 6 per joint) with `as_ase`: 52 or 72 values for
-        28 DOFs.
+        (N, F) with 6 values per 3-DoF joint and 1 value per hinge, or 6 per joint with `as_ase`. 28
+        DOFs give F = 52, or 72 with `as_ase`.
 
     Raises:
         ConfigError: `dof_offsets` is None, and no shipped humanoid has D degrees of freedom.
@@ -101,7 +102,7 @@ def _offsets_of_shipped(num_dofs: int) -> tuple[int, ...]:
 
 
 def _dof_features(dof_pos: Tensor, dof_offsets: tuple[int, ...], as_ase: bool) -> Tensor:
-    """Return `dof_to_obs` with the components first: (D, N) to (features, N)."""
+    """Compute `dof_to_obs` with N as the last dimension: (D, N) to (features, N)."""
     balls, hinges, order = _dof_obs_layout(dof_offsets, as_ase, dof_pos.device)
     # index_select is several times as fast as indexing with a tensor.
     vectors = dof_pos.index_select(0, balls).unflatten(0, (3, len(balls) // 3))
@@ -110,7 +111,7 @@ def _dof_features(dof_pos: Tensor, dof_offsets: tuple[int, ...], as_ase: bool) -
     if not as_ase:
         return torch.cat((*rotations, angles)).index_select(0, order)
     cos, sin, zero = angles.cos(), angles.sin(), torch.zeros_like(angles)
-    turns = (cos, zero, -sin, sin, zero, cos)  # x and z axis, turned about y
+    turns = (cos, zero, -sin, sin, zero, cos)  # x and z axes rotated about y
     return torch.cat((*rotations, *turns)).index_select(0, order)
 
 
@@ -125,24 +126,24 @@ def compute_humanoid_observations(
 ) -> Tensor:
     """Return the policy observation, which is also one step of the AMP observation.
 
-    Vectors are in the heading frame: the world axes, turned about z until the root faces +x.
+    Vectors are in the heading frame: the world axes rotated about z by the root's heading.
 
     Args:
         root_states: (N, 13) world position (m), rotation xyzw, linear and angular velocity.
         dof_pos: (N, D) rad.
         dof_vel: (N, D) rad/s.
         key_body_pos: (N, K, 3) world positions (m).
-        local_root_obs: True removes the heading from the root rotation.
+        local_root_obs: whether to remove the heading from the root rotation.
         as_ase: see `dof_to_obs`.
         dof_offsets: see `dof_to_obs`.
 
     Returns:
-        (N, F), see `num_humanoid_obs`; F = 13 + 52 (or 72) + D + 3 K for 28 DOFs. The order is root
-        height, root rotation (tangent, normal), root linear and angular velocity, joint positions,
-        joint velocities, key bodies relative to the root.
+        (N, F), where F = 13 + 52 (or 72) + D + 3 K for 28 DOFs (see `num_humanoid_obs`). The order
+        is root height, root rotation (tangent, normal), root linear and angular velocity, joint
+        positions, joint velocities, key bodies relative to the root.
     """
     offsets = dof_offsets or _offsets_of_shipped(dof_pos.shape[1])
-    # Each component is contiguous, which makes the operations fast.
+    # Operations are fast because the values of each component are contiguous.
     root = root_states.t().contiguous()
     cos, sin = heading_cos_sin(*root[3:7].unbind(0))
     root_rot = root[3:7].unbind(0)
@@ -170,7 +171,7 @@ def compute_humanoid_observations(
 
 
 def heading_cos_sin(x: Tensor, y: Tensor, z: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
-    """Return cosine and sine (N,) of the headings of rotations with components (N,)."""
+    """Return cosine and sine (N,) of the headings of quaternions with these components (N,)."""
     forward_x = 2.0 * (w * w + x * x) - 1.0
     forward_y = 2.0 * (x * y + w * z)
     length = torch.sqrt(forward_x * forward_x + forward_y * forward_y)
@@ -180,7 +181,7 @@ def heading_cos_sin(x: Tensor, y: Tensor, z: Tensor, w: Tensor) -> tuple[Tensor,
 
 
 def compute_humanoid_reward(obs_buf: Tensor) -> Tensor:
-    """Return ones (N,): the task reward of AMP is constant."""
+    """Return the constant task reward of AMP, which is 1 (N,)."""
     return torch.ones_like(obs_buf[:, 0])
 
 
@@ -191,19 +192,19 @@ def compute_humanoid_falls(
     rigid_body_pos: Tensor,
     termination_height: float | Tensor,
 ) -> Tensor:
-    """Return (N,) bool: the humanoid fell.
+    """Return which humanoids (N,) fell.
 
-    A fall requires a touched body and a body below `termination_height`. They may be different
-    bodies, but none of `contact_body_ids`. The first step of an episode is excluded, because its
-    contact forces may be stale. A force in any direction counts, as in ASE, while IsaacGymEnvs
-    compares signed components.
+    A fall requires that one body is in contact and that the same or another body is below
+    `termination_height`. The bodies `contact_body_ids` are ignored. The first step of an episode is
+    excluded, because its contact forces may be stale. A force in any direction counts, as in ASE,
+    whereas IsaacGymEnvs compares signed components.
 
     Args:
         progress_buf: (N,) int64 control steps since the reset, including this step.
-        contact_buf: (N, B, 3) net contact forces (N).
+        contact_buf: (N, B, 3) net contact forces (newton).
         contact_body_ids: (C,) bodies that may touch the floor (feet).
         rigid_body_pos: (N, B, 3) world positions of the body origins (m).
-        termination_height: m, one value, or (B,) values.
+        termination_height: height in m, one for all bodies or (B,).
     """
     # (B, N) is the memory order of the backend.
     force = contact_buf.permute(2, 1, 0).abs().amax(dim=0).index_fill_(0, contact_body_ids, 0.0)
@@ -225,10 +226,10 @@ def compute_humanoid_reset(
     enable_early_termination: bool,
     termination_height: float | Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Return which episodes end, and which of them by a fall: reset (N,) and terminated (N,).
+    """Return which episodes end (reset, (N,)) and which of them by a fall (terminated, (N,)).
 
-    The arguments are IsaacGymEnvs', see `compute_humanoid_falls`. `reset_buf` (N,) determines only
-    the dtype of the results.
+    The arguments are those of IsaacGymEnvs; `compute_humanoid_falls` describes them. `reset_buf`
+    (N,) determines only the dtype of the results.
     """
     timed_out = progress_buf >= max_episode_length - 1
     if not enable_early_termination:
@@ -244,11 +245,11 @@ def pd_action_offset_scale(
 ) -> tuple[Tensor, Tensor]:
     """Return offset and scale (D,) of the PD targets `offset + scale * action`, in rad.
 
-    The targets of a hinge reach 0.7 times its range to either side of the middle. A 3-DoF joint has
-    offset 0. Its scale is pi in IsaacGymEnvs, and in ASE 1.2 times its largest limit, at most pi.
+    The targets of a hinge extend from the middle of its range by 0.7 times the range to either
+    side. A 3-DoF joint has the offset 0. The scale of a 3-DoF joint is pi in IsaacGymEnvs. In ASE
+    the scale is 1.2 times the joint's largest limit, but at most pi.
 
-    The limits (D,) in rad are swapped where lower > upper. `dof_offsets` is described in
-    `dof_to_obs`.
+    The limits (D,) in rad are swapped where lower > upper. `dof_to_obs` describes `dof_offsets`.
     """
     low, high = torch.minimum(dof_lower, dof_upper), torch.maximum(dof_lower, dof_upper)
     offset = 0.5 * (low + high)
@@ -265,7 +266,7 @@ def pd_action_offset_scale(
 
 
 def all_body_observation_groups(num_bodies: int) -> dict[str, int]:
-    """Return names and sizes of the observation parts: 223 values for 15 bodies, 253 for 17."""
+    """Return names and sizes of the observation parts. 15 bodies give 223 values, 17 give 253."""
     poses = {"root_height": 1, "body_pos": 3 * (num_bodies - 1), "body_rot": 6 * num_bodies}
     return poses | {"body_lin_vel": 3 * num_bodies, "body_ang_vel": 3 * num_bodies}
 
@@ -285,13 +286,14 @@ def compute_all_body_observations(
         body_rot: (N, B, 4) world rotations, xyzw.
         body_lin_vel: (N, B, 3) in world axes (m/s).
         body_ang_vel: (N, B, 3) in world axes (rad/s).
-        local_root_obs: True keeps the heading in the root's own rotation. The name says the
-            opposite, but ASE's files and checkpoints rely on it.
-        root_height_obs: False replaces the root height by 0.
+        local_root_obs: whether to keep the heading in the root's rotation. The name says the
+            opposite, but ASE's files and checkpoints rely on this meaning.
+        root_height_obs: whether to observe the root height instead of 0.
 
     Returns:
-        (N, 15 B - 2): root height; positions of the other bodies relative to the root; rotations
-        (tangent, normal) of all bodies; linear, then angular velocities of all bodies.
+        (N, 15 B - 2), in this order: root height, positions of the other bodies relative to the
+        root, rotations (tangent, normal) of all bodies, linear velocities of all bodies, angular
+        velocities of all bodies.
     """
     # (components, B, N) is the memory order of the backend.
     pos, rot, lin_vel, ang_vel = (

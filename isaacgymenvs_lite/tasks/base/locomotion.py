@@ -1,7 +1,7 @@
 """Common parts of Ant and Humanoid: a body with joint torques learns to run along +x.
 
-The formulas are IsaacGymEnvs', including one quirk: `angle_to_target` uses the height of the target
-instead of its lateral distance. Therefore it is nearly the negative yaw.
+The formulas are those of IsaacGymEnvs, including one quirk. `angle_to_target` is computed from the
+height of the target instead of its lateral distance, and is therefore nearly the negative yaw.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class LocomotionConfig(TaskConfig):
 
 
 class TorsoState(NamedTuple):
-    """State of the torso, (N,) or (3, N) each, with velocities in torso axes."""
+    """State of the torso as tensors (N,) and (3, N), with velocities in torso axes."""
 
     height: Tensor
     lin_vel: Tensor
@@ -64,17 +64,17 @@ class TorsoState(NamedTuple):
 def compute_torso_state(root_states: Tensor) -> TorsoState:
     """Return the torso state of `root_states` (N, 13) relative to the target at (1000, 0, 0) m.
 
-    `yaw` and `roll` are in [0, 2 pi), and `angle_to_target` is not wrapped (rad). `up_proj` is the
-    z component of the torso's z axis. `heading_proj` is the cosine between the torso's x axis and
-    the direction of the target.
+    The angles `yaw` and `roll` (rad) are in [0, 2 pi), and `angle_to_target` (rad) is not wrapped.
+    `up_proj` is the z component of the torso's z axis. `heading_proj` is the cosine between the
+    torso's x axis and the direction of the target.
     """
     root = root_states.t()
     px, py, height, x, y, z, w = root[:7].unbind()
-    velocities_w = root[7:].unflatten(0, (2, 3)).unbind(1)  # x, y and z, (2, N) each
+    velocities_w = root[7:].unflatten(0, (2, 3)).unbind(1)  # components x, y, z: (2, N) each
     velocities = torch.stack(rotate_components((-x, -y, -z, w), velocities_w), dim=1)
     xx, yy, zz, ww = x * x, y * y, z * z, w * w
     sin_yaw = 2.0 * (x * y + w * z)
-    # `get_euler_xyz` has the same formulas.
+    # These are the formulas of `get_euler_xyz`.
     roll = torch.atan2(2.0 * (w * x + y * z), ww - xx - yy + zz) % math.tau
     yaw = torch.atan2(sin_yaw, ww + xx - yy - zz) % math.tau
     to_x, to_y = _TARGET_X_M - px, -py
@@ -103,7 +103,7 @@ def running_terms(
 ) -> Terms:
     """Return the reward terms (N,) that Ant and Humanoid share.
 
-    `progress_m_s` (N,) is the speed towards the target, and `alive` a constant reward of every
+    `progress_m_s` (N,) is the speed towards the target, and `alive` is a constant reward for each
     step.
     """
     heading = cfg.heading_weight / _FULL_HEADING * torso.heading_proj
@@ -121,9 +121,9 @@ class LocomotionTask(MjcfTask):
     """N bodies with torque motors that learn to run along +x."""
 
     foot_names: ClassVar[tuple[str, ...]]
-    """Bodies whose contact wrenches are observed."""
+    """The policy observes the contact forces and torques on these bodies."""
     torques_nm: ClassVar[tuple[float, ...]]
-    """Torque of a full action, by joint."""
+    """Torque of a full action for each joint."""
 
     def create_sim(self) -> None:
         """Create the simulations and look up the joint limits."""
@@ -131,7 +131,7 @@ class LocomotionTask(MjcfTask):
         device = self.device
         limits = torch.from_numpy(hinge_limits(self._model, self._layout)).float().to(device)
         self.dof_limits_lower, self.dof_limits_upper = limits.unbind(-1)
-        # A joint starts at zero, or at the limit nearest to zero.
+        # A joint starts at zero, or at the nearest limit if its range excludes zero.
         self.initial_dof_pos = limits.clamp(min=0.0)[:, 0] + limits.clamp(max=0.0)[:, 1]
         self.motor_efforts = torch.tensor(self.torques_nm, device=device)
         self.initial_root = torch.zeros(13, device=device)
@@ -172,7 +172,7 @@ class LocomotionTask(MjcfTask):
         return self._torso
 
     def dof_pos_share(self) -> Tensor:
-        """Return joint positions (N, D), scaled from their ranges to [-1, 1]."""
+        """Return joint positions (N, D), where each joint's range is scaled to [-1, 1]."""
         return unscale(self.simulation.dof_pos, self.dof_limits_lower, self.dof_limits_upper)
 
     def dof_vel_scaled(self) -> Tensor:
@@ -180,15 +180,15 @@ class LocomotionTask(MjcfTask):
         return self.simulation.dof_vel * self.env_cfg.dof_velocity_scale
 
     def foot_wrenches(self) -> Tensor:
-        """Return contact forces and torques (6 K, N), foot by foot, in the foot frames."""
+        """Return contact forces and torques (6 K, N) on the feet, in the foot frames."""
         return measure_wrenches(self.simulation, self.foot_names).transpose(0, 1).flatten(0, 1)
 
     def compute_failures(self) -> Tensor:
-        """Return (N,) bool: the torso is below the termination height."""
+        """Return where (N,) the torso is below the termination height."""
         return self.simulation.root_states[:, 2] < self.env_cfg.termination_height
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Place the body upright and at rest at the origin, with joints near their start."""
+        """Place the body upright at the origin, with joints near their start positions and slow."""
         size = (self.num_actions,)
         pos = self.initial_dof_pos + uniform(
             env_ids, -_START_POS_NOISE_RAD, _START_POS_NOISE_RAD, size
@@ -197,7 +197,7 @@ class LocomotionTask(MjcfTask):
         vel = uniform(env_ids, -_START_VEL_NOISE_RAD_S, _START_VEL_NOISE_RAD_S, size)
         root = self.initial_root.repeat(len(env_ids), 1)
         self.simulation.write_state(env_ids, root, pos, vel)
-        # The reset itself must not count as progress.
+        # The displacement by the reset must not count as progress.
         self.potentials.index_copy_(0, env_ids, compute_potentials(root[:, :3], self.sim_dt_s))
         self._torso = None
 

@@ -1,4 +1,4 @@
-"""MjcfTask: a task from checked settings and an MJCF file. `VecTask` describes a step."""
+"""MjcfTask: a task defined by checked settings and an MJCF file. `VecTask` describes a step."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class MjcfTask(VecTask):
     """
 
     settings_class: ClassVar[type[TaskConfig]] = TaskConfig
-    """Dataclass of the keys of `task.env`."""
+    """Dataclass that declares the keys of `task.env`."""
     default_asset: ClassVar[str]
     """Path of the task's MJCF, relative to assets/."""
     published_assets: ClassVar[tuple[str, ...]] = ()
-    """Model names in published task files, which mean the task's MJCF."""
+    """Published task files use these model names, which select the task's MJCF."""
     _spec: mujoco.MjSpec | None = None
 
     def __init__(self, cfg: dict[str, Any], *args: Any, **kwargs: Any) -> None:
@@ -74,8 +74,8 @@ class MjcfTask(VecTask):
     def scene(self) -> mujoco.MjSpec | None:
         """Return the simulated model as a specification that can be written as MJCF.
 
-        It contains the time step, gravity, friction and actuator gains of the compiled model. None
-        if the task has no specification.
+        The specification contains the time step, gravity, friction and actuator gains of the
+        compiled model. If the task has no specification, the method returns None.
         """
         if self._spec is None:
             return None
@@ -85,21 +85,21 @@ class MjcfTask(VecTask):
         for actuator in spec.actuators:  # `copy_back` omits these two fields
             actuator.biastype = mujoco.mjtBias(int(model.actuator_biastype[actuator.id]))
             actuator.forcelimited = int(model.actuator_forcelimited[actuator.id])
-        spec.compiler.savecompiled = False  # True would write six digits only
+        spec.compiler.savecompiled = False  # True writes six digits only
         return spec
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
-        """Change the specification before it is compiled; by default do nothing."""
+        """Change the specification before it is compiled. The base method does nothing."""
 
     def set_sizes(self) -> None:
         """Set `num_observations` and `num_actions` if they depend on the model."""
 
     def states_size(self) -> int:
-        """Return the dimension of the privileged observation, see `compute_states`."""
+        """Return the dimension of the privileged observation (see `compute_states`)."""
         return self.num_observations
 
     def simulator_calls(self) -> int:
-        """Return the number of simulator calls of `sim.dt` in a control step."""
+        """Return the number of simulator calls, each `sim.dt` long, in a control step."""
         return self.env_cfg.control_freq_inv
 
     def create_sim(self) -> None:

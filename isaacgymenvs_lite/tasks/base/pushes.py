@@ -1,4 +1,4 @@
-"""Pushes: sudden changes of the velocities of robot bases over the ground."""
+"""Pushes: sudden changes of the horizontal velocities of robot bases."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from isaacgymenvs_lite.simulation.backend import SimulationBackend
 
 
 def push_interval(interval_s: float, control_dt_s: float) -> int:
-    """Return the interval between pushes in control steps, at least 1."""
+    """Return the number of control steps between pushes, at least 1."""
     return max(1, int(interval_s / control_dt_s + 0.5))
 
 
 def set_planar_velocities(simulation: SimulationBackend, velocities_w: Tensor) -> None:
-    """Set the velocities (N, 2) of all bases over the ground, along world x and y (m/s).
+    """Set the velocities (N, 2) of all bases along world x and y (m/s).
 
     The rest of the state does not change. Contact forces are zero until the next step.
     """

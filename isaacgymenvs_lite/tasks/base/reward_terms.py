@@ -1,4 +1,4 @@
-"""Reward terms by name; their sum is the reward."""
+"""Named reward terms, whose sum is the reward."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Terms = dict[str, Tensor]
 
 
 def replace_where(terms: Terms, where: Tensor, name: str, value: float) -> Terms:
-    """Replace all terms by one term `name` of this value where `where` (N,) is True."""
+    """Replace all terms by one term `name` with this value in the environments `where` (N,)."""
     kept = torch.stack(tuple(terms.values())).masked_fill_(where, 0.0)
     return {**dict(zip(terms, kept, strict=True)), name: where * value}
 

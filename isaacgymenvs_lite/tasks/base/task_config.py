@@ -12,7 +12,7 @@ from typing import Any
 from isaacgymenvs_lite.config.launch import MAX_THREADS
 from isaacgymenvs_lite.schema import keys_of, read_keys, read_section, setting
 
-# These keys of Isaac Gym's viewer, grid and cameras have no effect on a task.
+# Tasks ignore these keys, which configure Isaac Gym's viewer, grid and cameras.
 _IGNORED = (
     "envSpacing",
     "cameraFollow",
@@ -47,8 +47,8 @@ UNREAD_ENV_KEYS = (*_IGNORED, *keys_of(EnvConfig))
 class AssetConfig:
     """`task.env.asset`."""
 
-    asset_file_name: str = setting("", key="assetFileName")  # '' = the task's own MJCF
-    asset_root: str = setting("", key="assetRoot")  # '' = the project's assets/
+    asset_file_name: str = setting("", key="assetFileName")  # empty: the task's MJCF
+    asset_root: str = setting("", key="assetRoot")  # empty: the project's assets/
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class _PhysxConfig:
 
 
 def read_num_threads(sim: Mapping[str, Any]) -> int:
-    """Return the number of physics threads in `task.sim.physx`; 0: the backend chooses."""
+    """Return the number of physics threads in `task.sim.physx`. 0 lets the backend choose."""
     return read_keys(_PhysxConfig, sim.get("physx"), "task.sim.physx").num_threads
 
 

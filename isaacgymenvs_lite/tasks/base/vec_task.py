@@ -2,7 +2,7 @@
 
 **A step** has this order:
 
-1. `step` replaces actions that are not finite by zero, adds action noise, and clamps the actions.
+1. `step` replaces non-finite actions by zero, adds action noise, and clamps the actions.
 2. `pre_physics_step` sets the controls that `compute_controls` returns.
 3. `simulation.step` advances the physics.
 4. `post_physics_step` starts new episodes and calls `update_state`, `compute_observations`,
@@ -13,32 +13,32 @@ A task implements the methods in the section "what a task fills in". `MjcfTask` 
 settings and an MJCF model.
 
 **Episodes.** `step` returns the last observation of an episode and marks the end in `reset_buf`.
-The next step starts the next episode after the physics, as in IsaacGymEnvs. The action of that step
-has no effect, and its observation is the first one of the episode. A call of `reset_done` starts
-the episode earlier. Three kinds of tasks differ:
+As in IsaacGymEnvs, the following step starts the next episode after its physics. The action of that
+step has no effect, and the step returns the first observation of the episode. A call of
+`reset_done` starts the next episode earlier. Three kinds of tasks differ:
 
-- A task with `starts_before_physics` starts the episode before the physics of the next step.
+- A task with `starts_before_physics` starts the next episode before the physics of a step.
 - AnymalTerrain starts the next episode in the step that ends the previous one.
 - A task of IsaacGymEnvs overrides `create_sim`, `pre_physics_step`, `post_physics_step` and
-  `reset_idx`. It starts episodes where it calls `reset_idx`, and its `reset` starts none.
+  `reset_idx`. Such a task starts episodes where it calls `reset_idx`, and its `reset` starts none.
 
 **Tensors.** The first dimension is always N. The backend owns the state tensors of `simulation` and
-changes them in `step` and `write_state`. The task owns the buffers that `VecTask` lists. They are
-on `device`, and each step writes into them in place, except `actions` and `reward_terms`, which it
-replaces. Other code may write 1 into `reset_buf` between two steps. The tensors that `step` and
-`reset_done` return are on `rl_device` and belong to the caller. Every step returns the same `infos`
-dictionary with new tensors. A step waits for the device four times: to find actions that are not
-finite, discarded steps, unexplained ends, and the episodes that start.
+changes them in `step` and `write_state`. The task owns the buffers that `VecTask` lists. These
+buffers are on `device`. Each step replaces `actions` and `reward_terms`, and writes the other
+buffers in place. Other code may write 1 into `reset_buf` between two steps. The tensors that `step`
+and `reset_done` return are on `rl_device` and belong to the caller. Every step returns the same
+`infos` dictionary with new tensors. A step waits for the device four times: to find non-finite
+actions, discarded steps, entries of `reset_buf` without a cause, and the episodes that start.
 
 **Differences from IsaacGymEnvs:**
 
 - `time_outs` marks episodes that end at the time limit or whose simulation diverged. An episode
-  that fails in its last step is no time-out, because no trainer may bootstrap from a fall.
-- A step whose simulation diverged earns nothing and cuts its episode off without a failure. It
-  repeats the observation of the previous step. `infos["diverged"]` marks the step, and agents leave
-  it out of their updates.
-- An action that is not finite is a failure with reward 0. The physics receives zeros instead.
-- There is no process-wide simulation: several tasks can exist, and `close()` frees one.
+  that fails in its last step is not a time-out, because no trainer may bootstrap from a fall.
+- A step whose simulation diverged has the reward 0, repeats the observation of the previous step,
+  and ends its episode without a failure. `infos["diverged"]` marks such a step, and agents leave it
+  out of their updates.
+- A non-finite action is a failure with reward 0, and the physics receives zeros instead.
+- Several tasks can exist in a process, and `close()` frees one of them.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ _PICTURE_SIZE = (640, 480)
 class Done:
     """Codes of `VecTask.done_buf`: how a step left an episode.
 
-    They are plain integers, because torch is several times slower with an `IntEnum`.
+    The codes are plain integers, because torch is several times slower with an `IntEnum`.
     """
 
     RUNNING: Final = 0
@@ -80,13 +80,13 @@ class Done:
     """The episode reached its time limit and did not fail."""
     FAILED: Final = 2
     DIVERGED: Final = 3
-    """The simulation diverged and cut the episode off, which is not the policy's fault."""
+    """The episode ended because the simulation diverged, which is not the policy's fault."""
 
 
 class ActionScaling(NamedTuple):
-    """Actuator targets `offset + scale * action`, with `offset` and `scale` (A,).
+    """The mapping `offset + scale * action` to actuator targets, with `offset` and `scale` (A,).
 
-    The `unit` is `rad` for position drives, `Nm` or `N` for motors.
+    The `unit` is `rad` for position drives, and `Nm` or `N` (newton) for motors.
     """
 
     unit: str
@@ -105,21 +105,21 @@ class RobotState(NamedTuple):
 class RobotDescription(NamedTuple):
     """Data that an exported policy needs in addition to the model and `ActionScaling`."""
 
-    default: RobotState  # at rest
-    start: RobotState  # start of an episode
+    default: RobotState  # the default pose at rest
+    start: RobotState  # state at the start of an episode
     key_bodies: tuple[str, ...]  # bodies in the observation part `key_body_pos`
     frames: dict[str, str]
-    """Frame of each observation part: `world`, `base`, `joint`, or `heading`, which is the world
-    frame, turned about z until the base faces +x."""
+    """Frame of each observation part: `world`, `base`, `joint` or `heading`. The heading frame is
+    the world frame rotated about z by the heading of the base."""
 
 
 class Env(Stateful):
     """Sizes, clip limits, devices and spaces of a task, from its configuration.
 
-    `config` is cfg/task/<Task>.yaml as plain dictionaries. Its `env` also holds `numObservations`,
-    `numActions` and, for an asymmetric critic, `numStates`. `step` and `reset` return tensors on
-    `rl_device`. The physics runs on the CPU, whatever `sim_device` is. `graphics_device_id` is -1
-    without a rendering device.
+    `config` is cfg/task/<Task>.yaml as plain dictionaries. Its section `env` also holds
+    `numObservations`, `numActions` and, for an asymmetric critic, `numStates`. `step` and `reset`
+    return tensors on `rl_device`. The physics runs on the CPU for any `sim_device`.
+    `graphics_device_id` is -1 if there is no rendering device.
 
     Raises:
         ConfigError: a size is missing or impossible.
@@ -178,7 +178,7 @@ class Env(Stateful):
 
     @property
     def action_space(self) -> gymnasium.Space:
-        """Box of the action of one environment: -1 to 1, except with train files of Isaac Lab."""
+        """Box of one action: [-1, 1], unless a train file of Isaac Lab sets other limits."""
         return self.act_space
 
     def get_task_obs_size(self) -> int:
@@ -186,15 +186,15 @@ class Env(Stateful):
         return 0
 
     def observation_groups(self) -> dict[str, int]:
-        """Return the name and size of each observation part, in order; {}: not defined."""
+        """Return the ordered names and sizes of the observation parts, or {} if undefined."""
         return {}
 
     def action_scaling(self) -> ActionScaling | None:
-        """Return how actions map to actuator targets; None if the mapping depends on the state."""
+        """Return the mapping from actions to actuator targets, or None if it is not constant."""
         return None
 
     def robot_description(self) -> RobotDescription | None:
-        """Return the data that an exported policy needs; None if the task has no robot."""
+        """Return the data that an exported policy needs, or None if the task has no robot."""
         return None
 
     def set_train_info(self, env_frames: int, *args: Any, **kwargs: Any) -> None:
@@ -202,7 +202,7 @@ class Env(Stateful):
         self.total_train_env_frames = env_frames
 
     def get_env_state(self) -> Any:
-        """Return the state that a checkpoint stores; None by default."""
+        """Return the state that a checkpoint stores. The base method returns None."""
         return None
 
     def set_env_state(self, env_state: Any) -> None:
@@ -212,7 +212,7 @@ class Env(Stateful):
 class VecTask(Env):
     """N environments that step together; the module docstring describes a step.
 
-    `Env` describes the arguments. The last two are IsaacGymEnvs'.
+    `Env` describes the arguments, except the last two, which come from IsaacGymEnvs.
 
     Attributes:
         simulation: the backend, whose state tensors the task reads.
@@ -220,24 +220,25 @@ class VecTask(Env):
         states_buf: (N, numStates) float32, privileged observations of an asymmetric critic.
         rew_buf: (N,) float32.
         reward_terms: terms (N,) by name, whose sum is `rew_buf`.
-        reset_buf: (N,) int64, 1 where an episode ended and the next one has not started. All
+        reset_buf: (N,) int64, 1 where an episode ended and the next episode has not started. All
             entries are 1 at first.
-        done_buf: (N,) int64, how the last step left each episode, see `Done`. `reset_done` clears
-            the entries of the episodes that it starts.
+        done_buf: (N,) int64, codes of `Done` that say how the last step left each episode.
+            `reset_done` clears the entries of the episodes that it starts.
         timeout_buf: (N,) bool, `infos["time_outs"]` of the last step.
         diverged_buf: (N,) bool, True where the simulation diverged in the last step.
         progress_buf: (N,) int64, control steps of the running episode.
         actions: (N, numActions), the clamped actions of the last step.
-        extras: the infos that `step` returns; the same dictionary at every step.
-        listeners: called at every step, see `StepListener`.
-        max_episode_length: control steps; a task must set it.
+        extras: the infos that `step` returns, the same dictionary at every step.
+        listeners: objects that every step calls (see `StepListener`).
+        max_episode_length: time limit of an episode in control steps, which a task must set.
         sim_dt_s: time of one simulator call, `task.sim.dt` (s).
         control_dt_s: nominal time of a control step (s).
-        dt: the attribute of IsaacGymEnvs (s). It equals `control_dt_s` in AnymalTerrain and the AMP
-            and ASE humanoids, otherwise `sim_dt_s`. This project's tasks do not read it.
-        is_training: True while an agent learns from the task, which may then end episodes early.
-        keeps_final_observations: True: AnymalTerrain also observes the ends of episodes, see
-            `final_observations`.
+        dt: the attribute of this name in IsaacGymEnvs (s). In AnymalTerrain and in the AMP and ASE
+            humanoids it equals `control_dt_s`, in other tasks `sim_dt_s`. This project's tasks do
+            not read `dt`.
+        is_training: whether an agent is learning from the task. During training, a task may end
+            episodes early.
+        keeps_final_observations: whether AnymalTerrain computes `final_observations`.
     """
 
     simulation: SimulationBackend
@@ -246,20 +247,21 @@ class VecTask(Env):
     actor_name: ClassVar[str] = "robot"
     """Name of the robot in `task.task.randomization_params.actor_params`."""
     starts_before_physics: ClassVar[bool] = False
-    """True: a step starts episodes before its physics; see the module docstring."""
+    """Whether a step starts episodes before its physics (see the module docstring)."""
     zero_action_at_reset: ClassVar[bool] = False
-    """True: the step that starts an episode ignores its action, which was chosen for the last state
-    of the previous episode. It needs `starts_before_physics`."""
+    """Whether the step that starts an episode ignores its action, because the action was chosen for
+    the last state of the previous episode. True needs `starts_before_physics`."""
     agents_call_reset_done: ClassVar[bool] = False
-    """True: agents call `reset_done` before each step, so that the first action of an episode
-    belongs to its first observation. `reset_idx` observes. `RLGPUEnv` calls it for other agents."""
+    """Whether agents call `reset_done` before each step, so that the first action of an episode
+    belongs to its first observation. `reset_idx` then computes this observation. `RLGPUEnv` calls
+    `reset_done` for agents that do not."""
     is_training: bool = False
     keeps_final_observations: bool = False
     not_stored: ClassVar[tuple[str, ...]] = (
         *("cfg", "sim_params", "listeners", "_camera", "headless", "graphics_device_id"),
         *("force_render", "virtual_screen_capture"),
     )
-    """Attributes that checkpoints omit, see `Stateful`."""
+    """Names of attributes that checkpoints omit (see `Stateful`)."""
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"]}
 
     def __init__(
@@ -294,7 +296,7 @@ class VecTask(Env):
     # --- what a task fills in -------------------------------------------------------------
 
     def create_sim(self) -> None:
-        """Set `self.simulation`; the buffers do not exist yet."""
+        """Set `self.simulation`, before the buffers exist."""
         raise self._undefined("create_sim")
 
     def compute_controls(self, actions: Tensor) -> Tensor:
@@ -302,7 +304,7 @@ class VecTask(Env):
         raise self._undefined("compute_controls")
 
     def update_state(self) -> None:
-        """Update the state that the task keeps between steps, after the physics."""
+        """Update the task's own state after the physics of a control step."""
 
     def compute_obs(self) -> Tensor:
         """Return the observations (N, numObs) of the current state, without noise."""
@@ -315,13 +317,13 @@ class VecTask(Env):
     def compute_states(self, env_ids: Tensor | None, observations: Tensor) -> Tensor:
         """Return the privileged observations (n, numStates) of an asymmetric critic.
 
-        `env_ids` (n,) are the environments, and None means all of them. `observations` (n, numObs)
-        have no noise, and the method returns them by default.
+        `env_ids` (n,) selects environments, and None selects all. `observations` (n, numObs) have
+        no noise. The base method returns them unchanged.
         """
         return observations
 
     def add_sensor_noise(self, observations: Tensor) -> Tensor:
-        """Return observations (n, numObs) with sensor noise; by default without any."""
+        """Return observations (n, numObs) with sensor noise. The base method adds none."""
         return observations
 
     def compute_reward_terms(self) -> Terms:
@@ -329,11 +331,11 @@ class VecTask(Env):
         raise self._undefined("compute_reward_terms")
 
     def compute_failures(self) -> Tensor:
-        """Return (N,) bool, True where the episode ends by a failure; by default nowhere."""
+        """Return where (N,) an episode ends by a failure. The base method returns False."""
         return torch.zeros_like(self.timeout_buf)
 
     def compute_time_outs(self) -> Tensor:
-        """Return (N,) bool, True where the episode reached its time limit, failed or not."""
+        """Return where (N,) an episode reached its time limit, whether it failed or not."""
         return self.progress_buf >= self.max_episode_length - 1
 
     def reset_state(self, env_ids: Tensor) -> None:
@@ -341,22 +343,22 @@ class VecTask(Env):
         raise self._undefined("reset_state")
 
     def on_key(self, key: str) -> None:
-        """React to a key press in a viewer, between two steps; by default do nothing.
+        """React to a key press in a viewer, between two steps. The base method does nothing.
 
         A held key counts once. A viewer sends at most 20 keys a second.
 
         Args:
-            key: `up`, `down`, `left`, `right`, `space`, a lower-case letter, or a digit. The window
-                uses `v` and `r` itself.
+            key: `up`, `down`, `left`, `right`, `space`, a lower-case letter, or a digit. The
+                viewer's window keeps `v` and `r` for itself.
         """
 
     @property
     def key_help(self) -> str:
-        """Help text about the keys of `on_key`; '' if the task has no keys."""
+        """Help text about the keys of `on_key`, empty if the task has no keys."""
         return ""
 
     def infos(self) -> dict[str, Any]:
-        """Return additional infos of a step; by default none."""
+        """Return additional infos of a step. The base method returns none."""
         return {}
 
     @property
@@ -380,7 +382,8 @@ class VecTask(Env):
         self.timeout_buf = torch.zeros(n, dtype=torch.bool, device=device)
         self.diverged_buf = torch.zeros_like(self.timeout_buf)
         self._bad_actions = torch.zeros_like(self.timeout_buf)
-        # (N,) bool, True where the last step has no valid outcome; None: nowhere.
+        # Marks environments (N,) whose last step has no valid outcome. None stands for no
+        # environment.
         self._discarded: Tensor | None = None
         self.progress_buf = torch.zeros(n, dtype=torch.int64, device=device)
         self.randomize_buf = torch.zeros(n, dtype=torch.int64, device=device)
@@ -419,7 +422,7 @@ class VecTask(Env):
             if self._discarded is not None:
                 self._end_discarded(self._discarded)
             is_unexplained = self.reset_buf > self.done_buf
-            if bool(is_unexplained.any()):  # a task of IsaacGymEnvs writes only `reset_buf`
+            if bool(is_unexplained.any()):  # tasks of IsaacGymEnvs write only `reset_buf`
                 timed_out = self.compute_time_outs() & ~self.compute_failures()
                 codes = timed_out.long().masked_fill_(~timed_out, Done.FAILED)
                 self.done_buf.copy_(torch.where(is_unexplained, codes, self.done_buf))
@@ -460,7 +463,7 @@ class VecTask(Env):
         self.compute_reset()
 
     def compute_observations(self, env_ids: Tensor | None = None) -> None:
-        """Write observations into `obs_buf`; `env_ids` (n,) start an episode, None means all."""
+        """Write all observations, or first observations of `env_ids` (n,), into `obs_buf`."""
         if env_ids is None:
             observations = self.compute_obs()
             if self.num_states > 0:
@@ -483,19 +486,20 @@ class VecTask(Env):
         self.rew_buf.copy_(reward)
 
     def compute_reset(self) -> None:
-        """Write which episodes end, and how."""
+        """Write into the buffers which episodes end and why."""
         self.done_buf.copy_(self.compute_time_outs())
         self.done_buf.masked_fill_(self.compute_failures(), Done.FAILED)
         if self._discarded is not None:
             self._write_discarded_codes()
         torch.sign(self.done_buf, out=self.reset_buf)
 
-    # --- discarded steps: actions that are not finite, diverged simulations -----------------
+    # --- discarded steps: non-finite actions and diverged simulations -----------------------
 
     def _finite_actions(self, actions: Tensor) -> Tensor:
-        """Return actions (N, A) with zeros in rows that are not finite; write `_bad_actions`."""
+        """Replace non-finite rows of actions (N, A) by zeros, and mark them in `_bad_actions`."""
         self._bad_actions.zero_()
-        # The sum is cheap. It may overflow, therefore the rows are checked next.
+        # A finite sum is a cheap proof that all actions are finite. A sum may overflow, so the rows
+        # decide.
         if bool(actions.sum().isfinite()):
             return actions
         torch.logical_not(actions.isfinite().all(dim=-1), out=self._bad_actions)
@@ -509,7 +513,7 @@ class VecTask(Env):
         return actions.masked_fill(self._bad_actions.unsqueeze(-1), 0.0)
 
     def _end_discarded(self, discarded: Tensor) -> None:
-        """End the episodes of discarded steps (N,) with reward 0; warn of diverged simulations."""
+        """End the episodes of discarded steps (N,) with reward 0, and log diverged simulations."""
         self.rew_buf.masked_fill_(discarded, 0.0)
         self.reset_buf.masked_fill_(discarded & (self.done_buf == Done.RUNNING), 1)
         self._write_discarded_codes()
@@ -523,7 +527,7 @@ class VecTask(Env):
         self.done_buf.masked_fill_(self.diverged_buf, Done.DIVERGED)
 
     def _repeat_observations(self, observations: dict[str, Tensor]) -> None:
-        """Write the observations of the previous step, in place, where a simulation diverged."""
+        """Overwrite observations of diverged simulations by those of the previous step."""
         cut_off = self.diverged_buf & (self.reset_buf != 0)
         for name, before in self._observed_before.items():
             rows = observations[name]
@@ -535,7 +539,8 @@ class VecTask(Env):
     def reset(self) -> dict[str, Tensor]:
         """Start a new episode in every environment and return the first observations.
 
-        A task of IsaacGymEnvs returns its current observations, which are zero at first.
+        A task of IsaacGymEnvs starts no episode here, and returns its current observations, which
+        are zero at first.
         """
         if self._resets_itself:
             return self._observations()
@@ -543,7 +548,7 @@ class VecTask(Env):
         return self.reset_done()[0]
 
     def reset_done(self) -> tuple[dict[str, Tensor], Tensor]:
-        """Start new episodes where `reset_buf` is 1; return observations and these env ids (n,)."""
+        """Start episodes where `reset_buf` is 1, and return all observations and the ids (n,)."""
         with one_torch_thread():
             env_ids = self._start_episodes()
             self.done_buf.index_fill_(0, env_ids, Done.RUNNING)
@@ -558,7 +563,7 @@ class VecTask(Env):
         return type(self).reset_state is VecTask.reset_state
 
     def _start_episodes(self) -> Tensor:
-        """Start new episodes where `reset_buf` is 1; return the ids (n,) of these environments."""
+        """Start episodes where `reset_buf` is 1, and return the ids (n,) of their environments."""
         env_ids = self.reset_buf.nonzero().flatten()
         if len(env_ids) > 0:
             self.reset_idx(env_ids)
@@ -578,8 +583,8 @@ class VecTask(Env):
     def final_observations(self) -> dict[str, Tensor]:
         """Return the last observations of the episodes that the last step ended.
 
-        Call it before `reset_done`. Only the rows of ended episodes are valid. AnymalTerrain needs
-        `keeps_final_observations`.
+        Call this method before `reset_done`. Only the rows of ended episodes are valid.
+        AnymalTerrain needs `keeps_final_observations`.
         """
         return self._observations()
 
@@ -616,11 +621,11 @@ class VecTask(Env):
 
     @property
     def is_watched(self) -> bool:
-        """Whether a window or page is open, which keeps playing after the last episode."""
+        """Whether an open viewer keeps playing after the last episode."""
         return any(getattr(listener, "keeps_playing", False) for listener in self.listeners)
 
     def close(self) -> None:
-        """Close the listeners and free the simulation; the task cannot be stepped afterwards."""
+        """Close the listeners and free the simulation. The task cannot be stepped any more."""
         while self.listeners:
             self.listeners.pop().close()
         self._camera.close()

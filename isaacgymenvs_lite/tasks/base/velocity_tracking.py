@@ -1,6 +1,7 @@
 """Common parts of Anymal and AnymalTerrain: a legged robot follows commanded velocities.
 
-The formulas are IsaacGymEnvs'. Tensors have N as the last dimension: (3, N), (D, N).
+The formulas are those of IsaacGymEnvs. The last dimension of all tensors is the number N of
+environments, for example (3, N).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from isaacgymenvs_lite.tasks.base.vec_task import ActionScaling
 from isaacgymenvs_lite.utils.rotations import rotate_components
 
 _TRACKING_VARIANCE = 0.25  # (m/s)^2 and (rad/s)^2
-_START_POS_FACTORS = (0.5, 1.5)  # on the default joint angles
+_START_POS_FACTORS = (0.5, 1.5)  # multiplied with the default joint angles
 _START_VEL_RAD_S = 0.1
 CONTACT_THRESHOLD_N = 1.0
 
@@ -45,12 +46,12 @@ class ControlConfig:
 
     stiffness: float = setting(85.0, minimum=0)  # Nm/rad
     damping: float = setting(2.0, minimum=0)  # Nm s/rad
-    action_scale: float = setting(0.5, key="actionScale")  # rad of a full action
+    action_scale: float = setting(0.5, key="actionScale")  # rad for a full action
 
 
 @dataclass(frozen=True, kw_only=True)
 class LearnConfig:
-    """`task.env.learn`: reward weights per second, and scales of observations."""
+    """`task.env.learn`: reward weights per second, and scales of the observations."""
 
     lin_vel_xy_reward: float = setting(1.0, key="linearVelocityXYRewardScale")
     ang_vel_z_reward: float = setting(0.5, key="angularVelocityZRewardScale")
@@ -64,7 +65,7 @@ class LearnConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class CommandRangesConfig:
-    """`task.env.randomCommandVelocityRanges`: lowest and highest command."""
+    """`task.env.randomCommandVelocityRanges`: lowest and highest commands."""
 
     linear_x: tuple[float, ...] = setting((-2.0, 2.0), length=2)  # m/s
     linear_y: tuple[float, ...] = setting((-1.0, 1.0), length=2)  # m/s
@@ -75,7 +76,7 @@ class CommandRangesConfig:
 class UrdfAssetConfig:
     """`task.env.urdfAsset`."""
 
-    file: str = setting("")  # MJCF; '' = the task's own
+    file: str = setting("")  # MJCF; empty: the task's MJCF
     knee_name: str = setting("THIGH", key="kneeName")
     foot_name: str = setting("SHANK", key="footName")
     collapse_fixed_joints: bool = setting(True, key="collapseFixedJoints")  # no effect
@@ -97,7 +98,7 @@ class VelocityTrackingConfig(TaskConfig):
 
 
 class BaseMotion(NamedTuple):
-    """Linear velocity, angular velocity and unit vector of gravity in base axes, (3, N) each."""
+    """Linear velocity, angular velocity and direction of gravity in base axes, (3, N) each."""
 
     lin_vel: Tensor
     ang_vel: Tensor
@@ -108,7 +109,7 @@ def compute_base_motion(root_states: Tensor) -> BaseMotion:
     """Return velocities and gravity in the base frames of `root_states` (N, 13)."""
     planes = root_states.t()
     x, y, z, w = planes[3:7].unbind()
-    # (2, N) for each axis, linear and angular
+    # Each component has the shape (2, N) for linear and angular velocity.
     velocities = planes[7:13].reshape(2, 3, -1).unbind(1)
     lin_vel, ang_vel = torch.stack(rotate_components((-x, -y, -z, w), velocities)).unbind(1)
     down = (w * y - x * z, -(y * z + w * x), x * x + y * y - 0.5)
@@ -118,14 +119,14 @@ def compute_base_motion(root_states: Tensor) -> BaseMotion:
 def compute_tracking_rewards(commands: Tensor, motion: BaseMotion) -> tuple[Tensor, Tensor]:
     """Return rewards (N,) in (0, 1] for tracking the commanded velocity and yaw rate.
 
-    `commands` (3 or more, N) are velocities along x and y of the base (m/s), and the yaw rate
-    (rad/s).
+    The first three rows of `commands` (3 or more, N) are velocities along x and y of the base
+    (m/s), and the yaw rate (rad/s).
     """
     return tracking_kernels(commands[:2] - motion.lin_vel[:2], commands[2] - motion.ang_vel[2])
 
 
 def tracking_kernels(lin_vel_errors: Tensor, yaw_errors: Tensor) -> tuple[Tensor, Tensor]:
-    """Return exp(-error^2 / 0.25) (N,) of velocity errors (2, N) and yaw rate errors (N,)."""
+    """Return exp(-error^2 / 0.25) (N,) for velocity errors (2, N) and for yaw rate errors (N,)."""
     squares = torch.stack((lin_vel_errors.square().sum(0), yaw_errors.square()))
     along, turning = squares.div_(-_TRACKING_VARIANCE).exp_().unbind()
     return along, turning
@@ -158,10 +159,10 @@ def joint_angles(named: Mapping[str, Any], joint_names: Sequence[str]) -> Tensor
 def proprioception(
     motion: BaseMotion, commands: Tensor, dof_pos: Tensor, dof_vel: Tensor, cfg: LearnConfig
 ) -> tuple[Tensor, ...]:
-    """Return scaled base motion, commands, joint positions and joint velocities, (3 to D, N) each.
+    """Return scaled base motion, commands, joint positions and joint velocities as one list.
 
-    `commands` (3 or more, N) are in m/s and rad/s, `dof_pos` (D, N) in rad, `dof_vel` (D, N) in
-    rad/s.
+    `commands` (3 or more, N) are in m/s and rad/s, `dof_pos` (D, N) is in rad, and `dof_vel` (D, N)
+    is in rad/s.
     """
     return (
         motion.lin_vel * cfg.lin_vel_scale,
@@ -179,8 +180,8 @@ class VelocityTrackingTask(MjcfTask):
 
     Attributes:
         default_dof_pos: (D,) rad.
-        commands: (N, num_commands) velocity along x and y of the base (m/s), yaw rate (rad/s), and
-            the task's other commands.
+        commands: (N, num_commands) velocities along x and y of the base (m/s), yaw rate (rad/s),
+            and additional commands of the task.
     """
 
     num_commands: ClassVar[int] = 3
@@ -201,7 +202,7 @@ class VelocityTrackingTask(MjcfTask):
         return self.env_cfg.plane.dynamic_friction
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
-        """Set the drive gains of the configuration."""
+        """Set the drive gains from the configuration."""
         control = self.env_cfg.control
         for actuator in spec.actuators:
             actuator.set_to_position(kp=control.stiffness, kv=control.damping)
@@ -253,7 +254,7 @@ class VelocityTrackingTask(MjcfTask):
         return actions * self.env_cfg.control.action_scale + self.default_dof_pos
 
     def in_contact(self, body_ids: Tensor) -> Tensor:
-        """Return (K, N) bool: the force on bodies (K,) exceeds `CONTACT_THRESHOLD_N`."""
+        """Return where (K, N) the contact force on bodies (K,) exceeds `CONTACT_THRESHOLD_N`."""
         forces = self.simulation.contact_forces.permute(2, 1, 0).index_select(1, body_ids)
         return forces.square().sum(0) > CONTACT_THRESHOLD_N * CONTACT_THRESHOLD_N
 
@@ -269,12 +270,12 @@ class VelocityTrackingTask(MjcfTask):
         self._motion = None
 
     def draw_commands(self, env_ids: Tensor) -> Tensor:
-        """Return random commands (3, n): velocities along x and y, and `yaw`."""
+        """Draw random commands (3, n): velocities along x and y, and `yaw`."""
         low, high = self._ranges[:, :1], self._ranges[:, 1:]
         return low + (high - low) * torch.rand(3, len(env_ids), device=self.device)
 
     def draw_start_joints(self, env_ids: Tensor) -> tuple[Tensor, Tensor]:
-        """Return joint positions (rad) and velocities (rad/s), (n, D) each, for new episodes."""
+        """Draw start positions (rad) and start velocities (rad/s) of joints, (n, D) each."""
         size = (len(self.default_dof_pos),)
         pos = self.default_dof_pos * uniform(env_ids, *_START_POS_FACTORS, size)
         return pos, uniform(env_ids, -_START_VEL_RAD_S, _START_VEL_RAD_S, size)

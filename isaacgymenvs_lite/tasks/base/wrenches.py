@@ -10,16 +10,17 @@ from torch import Tensor
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.utils.rotations import cross_components
 
-# A contact sensor measures a force, a torque and a point. A frame is a position and three axes.
+# A contact sensor measures a force, a torque and a point. Frame sensors measure a position and
+# three axes.
 _CONTACT_SIZE, _FRAME_SIZE = 9, 12
 _FRAME_SENSORS = ("position", "xaxis", "yaxis", "zaxis")
 
 
 def measure_wrenches(simulation: SimulationBackend, bodies: Sequence[str]) -> Tensor:
-    """Return the contact forces and torques (6, K, N) on K bodies; see `body_wrenches`.
+    """Return the contact forces and torques (6, K, N) on K bodies (see `body_wrenches`).
 
     The model needs the sensors `wrench_<body>`, `position_<body>`, `xaxis_<body>`, `yaxis_<body>`
-    and `zaxis_<body>` of every body. The sensors measure at the start of the last physics step.
+    and `zaxis_<body>` for every body. Their values belong to the start of the last physics step.
     """
     contacts = [f"wrench_{body}" for body in bodies]
     frames = [f"{what}_{body}" for body in bodies for what in _FRAME_SENSORS]
@@ -46,7 +47,7 @@ def body_wrenches(contacts: Tensor, body_pos: Tensor, body_axes: Tensor) -> Tens
     along = body_axes.transpose(0, 1)
     wrenches = contacts.new_empty(contacts.shape[1], 6, contacts.shape[2]).transpose(0, 1)
     for part, vectors in ((wrenches[:3], forces), (wrenches[3:], torques)):
-        # The components in the body frame are the products with the body axes.
+        # The components in the body frame are scalar products with the body axes.
         torch.mul(along[0], vectors[0], out=part)
         part.addcmul_(along[1], vectors[1]).addcmul_(along[2], vectors[2])
     return wrenches
@@ -55,7 +56,8 @@ def body_wrenches(contacts: Tensor, body_pos: Tensor, body_axes: Tensor) -> Tens
 def torques_about(wrench: Tensor, points: Tensor) -> Tensor:
     """Return the torques (3, P, N) about P points, of one force and torque (6, N) on a body.
 
-    The points (P, 3) m are in the frame of `wrench`, which is in N and Nm about the frame's origin.
+    The points (P, 3) m are in the frame of `wrench`. `wrench` is a force in newton and a torque in
+    Nm about the origin of its frame.
     """
     force, torque = wrench[:3, None], wrench[3:, None]
     levers = cross_components(points.t()[..., None].unbind(), force.unbind())

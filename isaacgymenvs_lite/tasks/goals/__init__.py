@@ -1,4 +1,4 @@
-"""Goals: tasks that are rewarded in addition to the style; `task.env.goal` names ASE's goals."""
+"""Goals are rewarded in addition to the motion style. The key `task.env.goal` selects one."""
 
 from __future__ import annotations
 
@@ -19,5 +19,5 @@ GOAL_NAMES = tuple(GOALS)
 
 
 def goal_keys() -> frozenset[str]:
-    """Return the keys of `task.env` that any goal reads."""
+    """Return the keys of `task.env` that at least one goal reads."""
     return frozenset[str]().union(*(goal.keys() for goal in GOALS.values()))

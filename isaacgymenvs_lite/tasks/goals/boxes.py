@@ -21,9 +21,9 @@ def add_box(
     density: float,
     position_m: tuple[float, float, float],
 ) -> None:
-    """Add a free box with a sensor of its net contact force, before the model is compiled.
+    """Add a free box and a sensor of its net contact force to a model that is not yet compiled.
 
-    The edges `size_m` and the centre `position_m` are in m, `density` is in kg/m^3.
+    The edge lengths `size_m` and the centre `position_m` are in m, and `density` is in kg/m^3.
     """
     body = spec.worldbody.add_body(name=name, pos=position_m)
     body.add_freejoint(name=name)
@@ -46,7 +46,7 @@ def add_box(
 
 
 def damp_objects(model: mujoco.MjModel, names: Iterable[str]) -> None:
-    """Damp linear and angular velocities of the free bodies `names` of a compiled model."""
+    """Damp the linear and angular velocities of the named free bodies in a compiled model."""
     for name in names:
         body = model.body(name)
         first = int(body.dofadr[0])

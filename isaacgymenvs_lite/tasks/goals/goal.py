@@ -1,4 +1,4 @@
-"""The interface between a character that imitates clips and its goals."""
+"""The interface between a task whose character imitates clips and its goal."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ class GoalSettings:
 
 
 class Goal(Stateful):
-    """The goal `none`, and the base class of the other goals. One object serves N environments.
+    """Base class of all goals, and the goal `none`. One object serves N environments.
 
-    The task calls `add_to_model` before the model is compiled, and `attach` when the simulation
-    exists. It calls `reset` at the start of episodes. In every control step it calls `before_step`,
-    then the physics, `after_step`, `observe` and `reward`. docs/own_task.md shows how to write a
-    goal.
+    The task calls `add_to_model` before the model is compiled, `attach` when the simulation exists,
+    and `reset` at the start of episodes. In every control step the task calls `before_step`, runs
+    the physics, and calls `after_step`, `observe` and `reward`. docs/own_task.md shows how to write
+    a goal.
 
     Args:
-        env: `task.env`; null means the default of a key.
+        env: the section `task.env`, where null selects the default of a key.
 
     Attributes:
         settings: the goal's keys, an object of `settings_class`.
-        num_task_obs: dimension of the goal's observation, 0 without `enableTaskObs`.
-        simulation: the backend, from `attach` on.
+        num_task_obs: dimension of the goal's observation, which is 0 if `enableTaskObs` is False.
+        simulation: the backend, set by `attach`.
         dt_s: duration of a control step (s).
         prev_root_pos_w: (N, 3) m, positions of the characters before the last control step.
 
@@ -51,11 +51,11 @@ class Goal(Stateful):
     num_obs: ClassVar[int] = 0
     """Dimension of the goal's observation."""
     obs_name: ClassVar[str] = "goal"
-    """Name of this observation part. `command` means (m/s forward, m/s left, rad/s left)."""
+    """Name of the goal's observation. `command` means (m/s forward, m/s left, rad/s left)."""
     key_help: ClassVar[str] = ""
-    """Help text about the keys of `on_key`; '' if the goal has no keys."""
+    """Help text about the keys of `on_key`, empty if the goal has no keys."""
     look_ahead_s: ClassVar[tuple[float, ...]] = ()
-    """Times (s) after the start in a clip whose root states `start_in_clip` receives."""
+    """`start_in_clip` receives the root states at these times (s) after the start in a clip."""
     settings_class: ClassVar[type[GoalSettings]] = GoalSettings
 
     def __init__(self, env: Mapping[str, Any]) -> None:
@@ -72,7 +72,7 @@ class Goal(Stateful):
         """Add the goal's objects to the model of the character."""
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """Allocate buffers for N environments; `dt_s` is the duration of a control step.
+        """Allocate buffers for N environments with control steps of `dt_s` seconds.
 
         Raises:
             ConfigError: the character lacks a body that the goal names.
@@ -82,51 +82,53 @@ class Goal(Stateful):
         self.prev_root_pos_w = torch.zeros(simulation.num_envs, 3, device=simulation.device)
 
     def reset(self, env_ids: Tensor) -> None:
-        """Draw goals for new episodes of `env_ids` (n,), after their characters were reset."""
+        """Draw goals for new episodes of `env_ids` (n,), whose characters are already reset."""
 
     def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
-        """Adapt new goals of `env_ids` (n,) to the clips that they start in, after `reset`.
+        """Adapt the goals that `reset` drew for `env_ids` (n,) to the clips of their start poses.
 
-        `root_states` (n, T, 13) belong to the clips, `look_ahead_s` after the start.
+        `root_states` (n, T, 13) are those of the clips at the T times `look_ahead_s` after the
+        start.
         """
 
     def observe_clip(self, root_states: Tensor) -> Tensor | None:
-        """Return the observations (n, num_obs) of goals that clips reach; None: there are none.
+        """Return the observations (n, num_obs) of goals that n clips reach, or None.
 
-        `root_states` (n, T, 13) belong to the clips, `look_ahead_s` after the observed time.
+        `root_states` (n, T, 13) are those of the clips at the T times `look_ahead_s` after the
+        observed time.
         """
         return None
 
     def before_step(self, progress: Tensor) -> None:
-        """Prepare a control step; the episodes have lasted `progress` (N,) control steps."""
+        """Prepare a control step of episodes that have lasted `progress` (N,) control steps."""
         self.prev_root_pos_w.copy_(self.simulation.root_states[:, :3])
 
     def after_step(self) -> None:
-        """Update the state that the goal keeps between steps, after the physics."""
+        """Update the goal's own state after the physics of a control step."""
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
-        """Return the goal's observation (n, num_obs) of `env_ids` (n,) or all environments."""
+        """Return the observations (n, num_obs) of `env_ids` (n,). None selects all environments."""
         raise NotImplementedError(f"{type(self).__name__} has nothing to observe")
 
     def reward(self) -> Tensor | Terms:
-        """Return rewards (N,) of the last step, or their terms (N,) by name; by default 1."""
+        """Return the rewards (N,) of the last step, or their named terms; 1 in the base class."""
         return torch.ones(self.simulation.num_envs, device=self.simulation.device)
 
     def errors(self) -> dict[str, Tensor]:
-        """Return errors (N,) of the last step by name with unit; evaluations report their means."""
+        """Return errors (N,) of the last step by names with units. Evaluations report means."""
         return {}
 
     def on_key(self, key: str) -> None:
-        """React to a key press in a viewer, see `VecTask.on_key`."""
+        """React to a key press in a viewer (see `VecTask.on_key`)."""
 
     def failures(self, contact_body_ids: Tensor) -> Tensor | None:
-        """Return (N,) bool: the goal is out of reach; None: it always stays in reach.
+        """Return where a goal (N,) cannot be reached any more, or None if goals always can.
 
         `contact_body_ids` (C,) are the bodies that may touch something.
         """
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
-        """Return the markers that show the goal of an environment in pictures."""
+        """Return the markers that picture the goal of one environment."""
         return ()
 
     def ground_arrow(self, env_id: int, direction: Tensor, colour: Colour) -> Arrow:
@@ -136,7 +138,7 @@ class Goal(Stateful):
         return arrow_on_ground((x, y), (dx, dy), colour)
 
     def rows(self, values: Tensor, env_ids: Tensor | None) -> Tensor:
-        """Return the rows (n, ...) of values (N, ...) for `env_ids` (n,); None: all rows."""
+        """Return the rows (n, ...) of values (N, ...) for `env_ids` (n,). None selects all rows."""
         return values if env_ids is None else values.index_select(0, env_ids)
 
     def root_states(self, env_ids: Tensor | None = None) -> Tensor:
@@ -148,10 +150,10 @@ class TimedGoal(Goal):
     """A goal that changes after `change_steps_min` to `change_steps_max` - 1 control steps."""
 
     change_steps_keys: ClassVar[tuple[str, str]] = ("tarChangeStepsMin", "tarChangeStepsMax")
-    """Names of these two settings in `task.env`."""
+    """Names of `change_steps_min` and `change_steps_max` in `task.env`."""
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """Run the base method; zero timers make the first use draw a goal."""
+        """Run the base method, and set the timers to 0, so that the first step draws goals."""
         low_key, high_key = self.change_steps_keys
         low, high = self.settings.change_steps_min, self.settings.change_steps_max
         check_range(low_key, low, high_key, high, equal=False)
@@ -165,7 +167,7 @@ class TimedGoal(Goal):
         self._redraw(env_ids, torch.zeros_like(env_ids))
 
     def before_step(self, progress: Tensor) -> None:
-        """Run the base method, and draw a new goal where the old one has expired."""
+        """Run the base method, and replace the goals that have expired."""
         super().before_step(progress)
         over = (progress >= self.change_steps).nonzero().flatten()
         if len(over) > 0:
@@ -185,7 +187,7 @@ class TimedGoal(Goal):
 
 
 def check_range(low_key: str, low: float, high_key: str, high: float, *, equal: bool) -> None:
-    """Raise ConfigError if a range of `task.env` is empty; `equal` allows low = high."""
+    """Raise ConfigError if low > high, or if low = high and `equal` is False."""
     if low > high or (low == high and not equal):
         expected = "at most" if equal else "less than"
         raise ConfigError(

@@ -52,12 +52,12 @@ def compute_heading_reward(
     tar_face_dir: Tensor,
     dt: float,
 ) -> Tensor:
-    """Return the reward (n,) in [0, 1] of target velocity and facing.
+    """Return the reward (n,) in [0, 1] of moving with the target velocity and facing the target.
 
-    The lateral error is the sum of the components of the lateral velocity, as in ASE, which
-    probably meant its length. Positions (n, 3) before and after the control step are in m, and
-    `root_rot` (n, 4) is xyzw. `tar_speed` (n,) is in m/s, directions are unit vectors (n, 2), and
-    `dt` is in s.
+    As in ASE, the lateral error is the sum of the components of the lateral velocity, although the
+    length of this vector was probably intended. Positions (n, 3) before and after the control step
+    are in m, and `root_rot` (n, 4) is xyzw. `tar_speed` (n,) is in m/s, directions are unit vectors
+    (n, 2), and `dt` is in s.
     """
     velocity = planar_velocity(root_pos, prev_root_pos, dt)
     along = (tar_dir * velocity).sum(-1)
@@ -87,7 +87,7 @@ class Heading(TimedGoal):
     settings: HeadingSettings
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """Run the base method; the initial goals are to walk and face along +x at 1 m/s."""
+        """Run the base method, and command all characters to face and walk along +x at 1 m/s."""
         cfg = self.settings
         check_range("tarSpeedMin", cfg.tar_speed_min, "tarSpeedMax", cfg.tar_speed_max, equal=True)
         super().attach(simulation, dt_s)

@@ -42,10 +42,10 @@ def compute_location_reward(
     tar_speed: float,
     dt: float,
 ) -> Tensor:
-    """Return the reward (n,) in [0, 1] of nearness, approach and facing.
+    """Return the reward (n,) in [0, 1] of being near the point, approaching it and facing it.
 
-    Positions (n, 3) before and after the control step and `tar_pos` (n, 2) are in m, world.
-    `root_rot` (n, 4) is xyzw, `tar_speed` is in m/s, and `dt` is in s.
+    The root positions (n, 3) before and after the control step and `tar_pos` (n, 2) are in m, in
+    world axes. `root_rot` (n, 4) is xyzw, `tar_speed` is in m/s, and `dt` is in s.
     """
     offset = tar_pos - root_pos[:, :2]
     distance2 = offset.square().sum(-1)
@@ -76,7 +76,7 @@ class Location(TimedGoal):
     settings: LocationSettings
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """Run the base method; the initial goals are the origin."""
+        """Run the base method, and make the origin the initial goal."""
         super().attach(simulation, dt_s)
         self.tar_pos = torch.zeros(simulation.num_envs, 2, device=simulation.device)
 
@@ -104,7 +104,7 @@ class Location(TimedGoal):
         )
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
-        """Return the point and an arrow towards it; the point may be outside the picture."""
+        """Return a marker at the point, and an arrow to find a point outside of the picture."""
         x, y = self.tar_pos[env_id].tolist()
         direction = normalize(self.tar_pos[env_id] - self.root_states()[env_id, :2], eps=1e-12)
         point = Sphere((x, y, 0.0), math.sqrt(_NEAR_M2), GO_COLOUR)

@@ -10,18 +10,18 @@ from isaacgymenvs_lite.utils.rotations import rotate_about_z
 
 
 def facing(root_rot: Tensor) -> Tensor:
-    """Return the facing directions (n, 2), unit vectors in the plane, of root rotations (n, 4)."""
+    """Return the horizontal unit vectors (n, 2) that root rotations (n, 4) face."""
     return torch.stack(heading_cos_sin(*root_rot.unbind(-1)), dim=-1)
 
 
 def in_heading_frame(root_rot: Tensor, vectors_w: Tensor) -> Tensor:
-    """Rotate world vectors (n, 3) about z into the heading frames of root rotations (n, 4)."""
+    """Express world vectors (n, 3) in the heading frames of root rotations (n, 4)."""
     cos, sin = heading_cos_sin(*root_rot.unbind(-1))
     return rotate_about_z(cos, -sin, vectors_w)
 
 
 def xy_in_heading_frame(root_rot: Tensor, vectors_w: Tensor) -> Tensor:
-    """Rotate plane vectors (n, 2) into the heading frames of root rotations (n, 4)."""
+    """Express horizontal world vectors (n, 2) in the heading frames of root rotations (n, 4)."""
     cos, sin = heading_cos_sin(*root_rot.unbind(-1))
     return turned(cos, -sin, vectors_w)
 
@@ -33,7 +33,7 @@ def turned(cos: Tensor | float, sin: Tensor | float, vectors: Tensor) -> Tensor:
 
 
 def facing_reward(root_rot: Tensor, direction: Tensor) -> Tensor:
-    """Return the cosines (n,) between facing and unit directions (n, 2), at least 0."""
+    """Return cosines (n,) between facing and unit directions (n, 2). Negative cosines become 0."""
     return (direction * facing(root_rot)).sum(-1).clamp(min=0.0)
 
 

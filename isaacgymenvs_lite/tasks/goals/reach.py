@@ -16,19 +16,19 @@ from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, TimedGoal, check_ra
 from isaacgymenvs_lite.tasks.goals.planar import in_heading_frame
 
 _DISTANCE_SCALE = 4.0
-_BODIES = ("sword", "right_hand")  # the default is the first that exists
+_BODIES = ("sword", "right_hand")  # the first existing body is the default
 
 
 def compute_reach_observations(root_states: Tensor, tar_pos: Tensor) -> Tensor:
     """Return points `tar_pos` (n, 3) m, rotated into the heading frame of `root_states` (n, 13).
 
-    ASE passes world points without subtracting the root position.
+    As in ASE, the root position is not subtracted from the world positions of the points.
     """
     return in_heading_frame(root_states[:, 3:7], tar_pos)
 
 
 def compute_reach_reward(reach_body_pos: Tensor, tar_pos: Tensor) -> Tensor:
-    """Return the reward (n,) in [0, 1] of the distance between bodies and points, (n, 3) m each."""
+    """Return the reward (n,) in [0, 1] of nearness of bodies and points, both (n, 3) m."""
     return torch.exp(-_DISTANCE_SCALE * (tar_pos - reach_body_pos).square().sum(-1))
 
 
@@ -54,7 +54,7 @@ class Reach(TimedGoal):
     settings: ReachSettings
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """Run the base method and look up the body; the initial goals are the origin."""
+        """Run the base method, look up the body, and make the origin the initial goal."""
         cfg = self.settings
         check_range(
             "tarHeightMin", cfg.tar_height_min, "tarHeightMax", cfg.tar_height_max, equal=True

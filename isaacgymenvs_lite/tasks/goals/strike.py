@@ -41,10 +41,10 @@ _CONTACT_THRESHOLD_N = 1.0
 
 
 def compute_strike_observations(root_states: Tensor, tar_states: Tensor) -> Tensor:
-    """Return the box with states (n, 13) in the heading frame of the root (n, 13).
+    """Return the states of boxes in the heading frames of roots; both arguments are (n, 13).
 
-    The observation (n, 15) has position (the height is above the ground), rotation (tangent,
-    normal), linear and angular velocity.
+    The observation (n, 15) consists of position (with the height above the ground), rotation
+    (tangent, normal), linear velocity and angular velocity.
     """
     root_rot = root_states[:, 3:7]
     plane = tar_states[:, :2] - root_states[:, :2]
@@ -64,7 +64,7 @@ def compute_strike_observations(root_states: Tensor, tar_states: Tensor) -> Tens
 def compute_strike_reward(
     tar_pos: Tensor, tar_rot: Tensor, root_pos: Tensor, prev_root_pos: Tensor, dt: float
 ) -> Tensor:
-    """Return the reward (n,) in [0, 1] of the box's tilt and the approach; 1 where the box lies.
+    """Return the reward (n,) in [0, 1] of tilting and approaching the box, 1 for a fallen box.
 
     Positions (n, 3) are in m, `tar_rot` (n, 4) is xyzw, and `dt` (s) is the duration of the step.
     """
@@ -79,9 +79,9 @@ def compute_strike_reward(
 def compute_strike_failures(
     tar_contact_forces: Tensor, contact_forces: Tensor, allowed_body_ids: Tensor
 ) -> Tensor:
-    """Return (n,) bool: the box is touched while a forbidden body touches something.
+    """Return where (n,) the box is touched while a forbidden body touches something.
 
-    The forces (n, 3) on the box and (n, B, 3) on the bodies are in N.
+    The forces (n, 3) on the box and (n, B, 3) on the bodies are in newton.
     """
     touched = (tar_contact_forces[:, :2].abs() > _CONTACT_THRESHOLD_N).any(dim=-1)
     forces = contact_forces.abs().amax(dim=-1).index_fill(1, allowed_body_ids, 0.0)

@@ -1,9 +1,9 @@
-"""Velocity: walk, sidestep, turn and stand as commanded, in the style of the clips.
+"""The goal `velocity`: walk, sidestep, turn and stand on command, in the style of the clips.
 
-The commands, their keys and the reward kernels are Anymal's (IsaacGymEnvs), with two differences.
-Velocities are in the heading frame, because a walking robot leans. The mean velocity of the last
-second is rewarded, because hips sway with every step, and a reward of each moment would suppress
-the sway.
+The commands, their keys and the reward kernels are those of IsaacGymEnvs' Anymal, with two
+differences. Velocities are in the heading frame, because a walking robot leans. The reward depends
+on the mean velocity of the last second, because a reward of the present velocity would suppress the
+natural sway of the hips.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from isaacgymenvs_lite.tasks.goals.planar import facing, turned, xy_in_heading_f
 log = logging.getLogger(__name__)
 
 WINDOW_S = 1.0
-"""Duration over which motion and commands are averaged, about one stride."""
-# A robot stalls if it covers less than this share of the commanded distance in a second. A command
-# must have this least speed and have lasted for this time, because a robot needs steps to start.
+"""Motion and commands are averaged over this duration (s), which is about one stride."""
+# A robot stalls if it covers less than this share of the commanded distance in a second. Slower and
+# more recent commands do not count, because a robot needs a few steps to start.
 _STALLED_SHARE, _LEAST_COMMAND_M_S, _TIME_TO_GO_S = 0.3, 0.25, 1.5
-_NUM_AHEAD = 8  # times in the next second of a clip
-# Each key has an axis of the command and a sign.
+_NUM_AHEAD = 8  # sampled times in the next second of a clip
+# Each key changes one component of the command in one direction.
 _STEERING = {
     **{"up": (0, 1.0), "down": (0, -1.0), "q": (1, 1.0)},
     **{"e": (1, -1.0), "left": (2, 1.0), "right": (2, -1.0)},
 }
-_KEY_STEPS = 5  # key presses from 0 to the end of a range
+_KEY_STEPS = 5  # key presses from 0 to the limit of a range
 _LEAST_ARROW_M = 0.05
 _COMMANDED_HEIGHT_M, _ACTUAL_HEIGHT_M = 0.03, 0.15
 
 
 def compute_planar_motion(root_states: Tensor, forward_yaw_rad: float = 0.0) -> Tensor:
-    """Return (n, 3): velocity forward and to the left (m/s), and turn rate (rad/s).
+    """Return (n, 3): forward velocity (m/s), velocity to the left (m/s), turn rate (rad/s).
 
-    `root_states` (n, 13) are in world axes. `forward_yaw_rad` is the angle about z from the root's
-    heading to the forward direction.
+    `root_states` (n, 13) are in world axes. The forward direction is the root's heading rotated
+    about z by `forward_yaw_rad`.
     """
     velocity = xy_in_heading_frame(root_states[:, 3:7], root_states[:, 7:9])
     if forward_yaw_rad:
@@ -86,7 +86,8 @@ class Velocity(TimedGoal):
     """The goal `velocity`.
 
     Attributes:
-        commands: (N, 3) velocity forward and to the left (m/s), turn rate to the left (rad/s).
+        commands: (N, 3) forward velocity (m/s), velocity to the left (m/s), turn rate to the left
+            (rad/s).
 
     Raises:
         ConfigError: a value is invalid, or a range is empty.
@@ -118,7 +119,7 @@ class Velocity(TimedGoal):
         n, device = simulation.num_envs, simulation.device
         self.commands = torch.zeros(n, 3, device=device)
         self._steered: list[float] | None = None  # the user's command
-        # A ring buffer of commands minus motions, and the number of valid rows.
+        # Differences between commands and motions in a ring buffer, and its number of valid rows.
         window = max(1, round(WINDOW_S / dt_s))
         self._shortfalls = torch.zeros(window, n, 3, device=device)
         self._next_row = 0
@@ -131,7 +132,7 @@ class Velocity(TimedGoal):
         return limits[:, 0], limits[:, 1]
 
     def planar_motion(self, root_states: Tensor) -> Tensor:
-        """Return the motion (n, 3) of `root_states` (n, 13), see `compute_planar_motion`."""
+        """Return the motion (n, 3) of `root_states` (n, 13) (see `compute_planar_motion`)."""
         return compute_planar_motion(root_states, self.settings.forward_yaw_rad)
 
     def reset(self, env_ids: Tensor) -> None:
@@ -141,7 +142,7 @@ class Velocity(TimedGoal):
         self._num_shortfalls.index_fill_(0, env_ids, 0)
 
     def draw(self, env_ids: Tensor) -> None:
-        """Draw commands for `env_ids` (n,), unless a user steers."""
+        """Draw commands for `env_ids` (n,), or assign the command of a steering user."""
         n, device = len(env_ids), env_ids.device
         if self._steered is not None:
             commands = torch.tensor(self._steered, device=device).expand(n, 3)
@@ -154,15 +155,15 @@ class Velocity(TimedGoal):
         self._command_steps.index_fill_(0, env_ids, 0)
 
     def observe_clip(self, root_states: Tensor) -> Tensor:
-        """Return the command (n, 3) that is nearest to a clip's next second, within the ranges."""
+        """Return clips' mean motion (n, 3) in the next second, clamped to the command ranges."""
         low, high = self._limits(root_states.device)
         motion = self.planar_motion(root_states.flatten(0, 1)).view(len(root_states), -1, 3)
         return torch.minimum(torch.maximum(motion.mean(1), low), high)
 
     def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
-        """Command the motion of the clip's next second in a share of the starts.
+        """Command the clip's mean motion in the next second in a random share of the episodes.
 
-        Random commands alone make standing pay more than first steps.
+        With random commands only, a policy that stands earns more than one that tries first steps.
         """
         share = self.settings.clip_share
         if share == 0 or self._steered is not None:
@@ -172,9 +173,9 @@ class Velocity(TimedGoal):
         self.commands.index_copy_(0, env_ids[follows], commands[follows])
 
     def on_key(self, key: str) -> None:
-        """Steer all environments, starting from the first one's command; see `key_help`.
+        """Change the first environment's command by a key, and give all environments this command.
 
-        A command stays within the ranges. Stopping is allowed if standing is trained.
+        A command stays within the ranges. The command to stop is allowed if standing is trained.
         """
         low, high = self._limits(self.commands.device)
         if key in _STEERING:
@@ -194,7 +195,7 @@ class Velocity(TimedGoal):
         log.info("command: forward %.2f m/s, left %.2f m/s, turn %.2f rad/s", forward, left, turn)
 
     def after_step(self) -> None:
-        """Store how much the motion of the step fell short of the command."""
+        """Store the difference between the command and the motion of the step."""
         shortfall = self.commands - self.planar_motion(self.root_states())
         self._shortfalls[self._next_row] = shortfall
         self._next_row = (self._next_row + 1) % len(self._shortfalls)
@@ -202,19 +203,20 @@ class Velocity(TimedGoal):
         self._command_steps += 1
 
     def _mean_shortfall(self) -> Tensor:
-        """Return the mean command minus the mean motion (N, 3) of the last second."""
+        """Return the mean difference (N, 3) between command and motion in the last second."""
         count = self._num_shortfalls.clamp(1, len(self._shortfalls)).unsqueeze(-1)
         return self._shortfalls.sum(0) / count
 
     def failures(self, contact_body_ids: Tensor) -> Tensor | None:
-        """Return (N,) bool: the robot stalls; None without `endStalled`.
+        """Return which robots (N,) stall, or None if `endStalled` is False.
 
-        A policy that stands never falls and satisfies slow commands, which is a local optimum.
+        Standing is a local optimum of training, because a standing robot never falls and nearly
+        follows slow commands.
         """
         if not self.settings.end_stalled:
             return None
         commanded_m_s = torch.linalg.vector_norm(self.commands[:, :2], dim=-1)
-        # The missing share of the squared command is the missing share of the distance.
+        # This quotient is the missing share of the commanded distance.
         missing = (self._mean_shortfall()[:, :2] * self.commands[:, :2]).sum(dim=-1)
         stalls = missing > (1.0 - _STALLED_SHARE) * commanded_m_s.square()
         had_time = self._command_steps * self.dt_s >= _TIME_TO_GO_S
@@ -225,7 +227,7 @@ class Velocity(TimedGoal):
         return self.rows(self.commands, env_ids)
 
     def reward(self) -> Terms:
-        """Return the reward terms (N,) of tracking velocity and turn rate in the last second."""
+        """Return the reward terms (N,) of the mean velocity and turn rate in the last second."""
         shortfall = self._mean_shortfall().t()
         along, turning = tracking_kernels(shortfall[:2], shortfall[2])
         cfg = self.settings
@@ -235,7 +237,7 @@ class Velocity(TimedGoal):
         }
 
     def errors(self) -> dict[str, Tensor]:
-        """Return errors (N,) of the mean velocity (m/s) and mean turn rate (rad/s)."""
+        """Return the errors (N,) of the mean velocity (m/s) and of the mean turn rate (rad/s)."""
         mean = self._mean_shortfall()
         return {
             "velocity_error_m_s": torch.linalg.vector_norm(mean[:, :2], dim=-1),
@@ -245,8 +247,8 @@ class Velocity(TimedGoal):
     def markers(self, env_id: int) -> tuple[Marker, ...]:
         """Return arrows of the commanded and the actual velocity and turn rate.
 
-        A velocity arrow starts at the feet with 1 m for 1 m/s. A turn arrow starts in front of the
-        feet with 1 m for 1 rad/s.
+        A velocity arrow starts at the feet and is 1 m long for 1 m/s. A turn arrow starts in front
+        of the feet and is 1 m long for 1 rad/s.
         """
         root = self.root_states()[env_id : env_id + 1]
         yaw_rad = self.settings.forward_yaw_rad

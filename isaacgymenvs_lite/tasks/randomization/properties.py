@@ -1,11 +1,12 @@
-"""Attributes of `actor_params` as fields of a MuJoCo model, per environment.
+"""Maps attributes of `actor_params` to fields of the MuJoCo model of each environment.
 
 The names are PhysX's. Two quantities need a translation:
 
-- Friction of shapes: PhysX uses the mean of two touching shapes, MuJoCo the larger coefficient. The
-  robot's geoms get the mean of their own coefficient and the ground's. The ground gets none.
-- Stiffness and damping of degrees of freedom: they are gains of a position drive, if there is one.
-  Otherwise they are springs and dampers of the joint.
+- Friction of shapes: for two touching shapes, PhysX uses the mean coefficient and MuJoCo the larger
+  coefficient. The robot's geoms get the mean of their coefficient and the ground's. The ground gets
+  the coefficient 0.
+- Stiffness and damping of degrees of freedom: they are gains of the position drive, or springs and
+  dampers of a joint without a position drive.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ class Property(ABC):
     """One attribute of k bodies, geoms or degrees of freedom, with `original` values (k,)."""
 
     original: Doubles
-    changes_constants = False  # True: MuJoCo derives other fields from it
-    left_out = ""  # parts of the robot without this attribute, for the log
+    changes_constants = False  # whether MuJoCo derives other fields from this one
+    left_out = ""  # parts of the robot without this attribute, which the log names
 
     @abstractmethod
     def write(self, env_ids: Ids, values: Doubles) -> None:
@@ -41,7 +42,7 @@ class FieldProperty(Property):
     def __init__(
         self, simulation: SimulationBackend, field: str, ids: Ids, column: int | None = None
     ) -> None:
-        # The values of the environments may already have been randomised.
+        # The original values come from the model, because environments may already be randomised.
         values, original = simulation.expand(field), getattr(simulation.model, field)[ids]
         self._values = values if column is None else values[..., column]
         self._ids = ids
@@ -53,7 +54,7 @@ class FieldProperty(Property):
 
 
 class Mass(FieldProperty):
-    """Masses in kg; the inertia changes in proportion."""
+    """Masses in kg. The inertia of a body changes in proportion to its mass."""
 
     changes_constants = True
 
@@ -85,7 +86,7 @@ class InverseMass(Property):
 
 
 class Friction(Property):
-    """Friction coefficients of geoms (k,) with the ground; see the module docstring.
+    """Friction coefficients of geoms (k,) with the ground (see the module docstring).
 
     The column is 0 for sliding, 1 for torsional and 2 for rolling friction.
     """
@@ -98,7 +99,7 @@ class Friction(Property):
         if floor >= 0:
             self._ground = float(simulation.model.geom_friction[floor, column])
             self._values[:, floor] = mujoco.mjMINMU
-        # The model holds the contact's coefficient, which is the mean of both.
+        # The model holds the mean of the geom's and the ground's coefficient.
         self.original = 2.0 * simulation.model.geom_friction[geoms, column] - self._ground
 
     def write(self, env_ids: Ids, values: Doubles) -> None:
@@ -108,9 +109,9 @@ class Friction(Property):
 
 
 class Gain(Property):
-    """Stiffness (column 1) or damping (column 2) of degrees of freedom, by drives or joints.
+    """Stiffness (column 1) or damping (column 2) of the drives or joints of degrees of freedom.
 
-    A ball joint without a drive for each axis is left out, because its spring has no axes.
+    A ball joint without a drive for each axis is left out, because a spring acts on all axes.
     """
 
     def __init__(self, simulation: SimulationBackend, layout: ModelLayout, column: int) -> None:
@@ -129,7 +130,7 @@ class Gain(Property):
         self._driven = driven = self._drives >= 0
         self._driven_by = by = self._drives[driven]
         self.original[driven] = -model.actuator_biasprm[by, column]
-        # Gain and bias differ where MuJoCo must not recognise a servo, see `set_actuators`.
+        # Gain and bias differ where MuJoCo must not recognise a servo (see `set_actuators`).
         self._near = (column == 1) & (
             model.actuator_biasprm[by, 1] != -model.actuator_gainprm[by, 0]
         )
@@ -147,7 +148,7 @@ class Gain(Property):
 
 
 def _drives_of(model: mujoco.MjModel, layout: ModelLayout) -> Ids:
-    """Return the position drive (D,) of each degree of freedom, or -1."""
+    """Return the ids (D,) of the position drives of degrees of freedom, or -1 for none."""
     affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
     servo = affine & (model.actuator_biasprm[:, 1] != 0.0)
     on_joint = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
@@ -157,7 +158,7 @@ def _drives_of(model: mujoco.MjModel, layout: ModelLayout) -> Ids:
         dof = model.jnt_dofadr[joint] - layout.dof_vel_adr
         if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_BALL):
             dof += int(np.abs(model.actuator_gear[actuator, :3]).argmax())
-        if 0 <= dof < layout.num_dofs:  # objects have other DOFs
+        if 0 <= dof < layout.num_dofs:  # other DOFs belong to objects
             drives[dof] = actuator
     return drives
 
@@ -208,7 +209,7 @@ class Limits(FieldProperty):
 
 
 class Effort(Property):
-    """Largest forces of actuators (Nm or N) in both directions."""
+    """Largest forces of actuators (newton or Nm) in both directions."""
 
     def __init__(self, simulation: SimulationBackend) -> None:
         ids = np.flatnonzero(simulation.model.actuator_forcelimited)

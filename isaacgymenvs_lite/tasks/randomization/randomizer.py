@@ -1,8 +1,8 @@
-"""DomainRandomizer: draws noise and physical parameters at IsaacGymEnvs' times.
+"""DomainRandomizer: draws noise and physical parameters at the same times as IsaacGymEnvs.
 
-docs/migration.md lists the differences: draws always start from the original values of each
-property and environment. `setup_only` applies to its own attribute alone. Draws outside the buckets
-use the nearest bucket.
+docs/migration.md lists the differences. A draw always changes the original value of a property, not
+the previously drawn value. `setup_only` affects only the attribute that contains it. A draw outside
+the buckets uses the nearest bucket.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ log = logging.getLogger(__name__)
 
 
 def draw(settings: AttributeSettings, frame: int, shape: tuple[int, ...]) -> Tensor:
-    """Return random float64 values of `shape`, to be added to values or multiplied with them.
+    """Draw random float64 values of `shape` that are to be added to or multiplied with values.
 
     `frame` is the number of simulator calls so far, on which the schedule depends.
     """
     factor = settings.factor(frame)
     scaling = settings.operation == "scaling"
     first, second = settings.range
-    rest = 1.0 - factor if scaling else 0.0  # the neutral part
+    rest = 1.0 - factor if scaling else 0.0  # weight of the original value
     if factor == 0.0:
         return torch.full(shape, rest, dtype=torch.float64)
     if settings.distribution == "gaussian":
@@ -53,7 +53,7 @@ def draw(settings: AttributeSettings, frame: int, shape: tuple[int, ...]) -> Ten
 
 
 def bucketed(drawn: Tensor, settings: AttributeSettings) -> Tensor:
-    """Return the values rounded down to the grid of buckets, which clamps values outside."""
+    """Round values down to the grid of buckets, clamp them to its range, and return them."""
     first, second = settings.range
     low, high = first, second
     if settings.distribution == "gaussian":
@@ -68,7 +68,7 @@ def bucketed(drawn: Tensor, settings: AttributeSettings) -> Tensor:
 
 
 class Noise(Stateful):
-    """Noise on values (N, D): a new part in each call, and a held part that `refresh` redraws."""
+    """Noise on values (N, D): new values in each call, and values that only `refresh` redraws."""
 
     def __init__(self, settings: NoiseSettings) -> None:
         self._settings = settings
@@ -76,7 +76,7 @@ class Noise(Stateful):
         self.refresh(0)
 
     def refresh(self, frame: int) -> None:
-        """Redraw the held part, with the parameters at `frame` simulator calls."""
+        """Redraw the constant noise as scheduled after `frame` simulator calls."""
         settings = self._settings
         factor = settings.factor(frame)
         first, second = (factor * value for value in settings.range)
@@ -91,7 +91,7 @@ class Noise(Stateful):
         self._held = None
 
     def __call__(self, values: Tensor) -> Tensor:
-        """Return `values` (N, D) with noise."""
+        """Add noise to `values` (N, D), and return the sums."""
         if self._held is None:
             self._held = torch.randn_like(values)
         (first, second), (held_first, held_second) = self._fresh, self._correlated
@@ -99,16 +99,17 @@ class Noise(Stateful):
             noise = self._held * held_second + held_first
             noise += torch.randn_like(values).mul_(second).add_(first)
         else:
-            # The held part of uniform noise is Gaussian, as in IsaacGymEnvs.
+            # As in IsaacGymEnvs, even uniform noise has a Gaussian constant part.
             noise = self._held * (held_second - held_first) + held_first
             noise += torch.rand_like(values).mul_(second - first).add_(first)
         return values + noise if self._settings.operation == "additive" else values * noise
 
 
 class DomainRandomizer(Stateful):
-    """Draws noise and model parameters; everything is drawn once at construction.
+    """Draws noise and model parameters, for the first time at construction.
 
-    `params` is the section `task.task.randomization_params`. The first of the actors is the robot.
+    `params` is the section `task.task.randomization_params`. The first name in `actors` is the
+    robot.
 
     Raises:
         ConfigError: an actor, property, attribute or value is invalid.
@@ -153,20 +154,20 @@ class DomainRandomizer(Stateful):
         self._draw_environments(everywhere, frame=0, setup=True)
 
     def noisy_actions(self, actions: Tensor) -> Tensor:
-        """Return actions (N, A), with noise if it is configured."""
+        """Return actions (N, A) with the configured noise, if any."""
         return actions if self._action_noise is None else self._action_noise(actions)
 
     def noisy_observations(self, observations: Tensor) -> Tensor:
-        """Return observations (N, O), with noise if it is configured."""
+        """Return observations (N, O) with the configured noise, if any."""
         if self._observation_noise is None:
             return observations
         return self._observation_noise(observations)
 
     def on_reset(self, env_ids: Tensor, steps_since_draw: Tensor, frame: int) -> None:
-        """Draw the values that are due in environments (n,) that start a new episode.
+        """Draw the values that are due in environments (n,) at the start of an episode.
 
-        `steps_since_draw` (N,) counts control steps since the last draw, and is set to zero where
-        values are drawn. `frame` is the number of simulator calls so far.
+        `steps_since_draw` (N,) counts control steps since the last draw. The function sets it to 0
+        where it draws values. `frame` is the number of simulator calls so far.
         """
         if frame - self._last_draw >= self._plan.frequency:
             self._last_draw = frame

@@ -1,4 +1,4 @@
-"""The checked section `task.task.randomization_params`, with IsaacGymEnvs' keys."""
+"""Reads and checks the section `task.task.randomization_params`, with IsaacGymEnvs' keys."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ _SIM_PARAMS = ("gravity", "rest_offset")
 @dataclass(frozen=True, kw_only=True)
 class _Scheduled:
     range: tuple[float, ...] = setting(length=2)
-    """Limits of a uniform distribution, or mean and standard deviation of a Gaussian."""
+    """Limits of a uniform distribution, or mean and standard deviation of a normal distribution."""
     operation: str = setting(choices=_OPERATIONS)
     schedule: str | None = setting(None, choices=_SCHEDULES)
-    """Growth of the randomisation; None: full strength from the start."""
+    """Shape of the growth to full strength. None selects full strength from the start."""
     schedule_steps: int = setting(1, minimum=1)
     """Simulator calls until full strength."""
 
@@ -57,9 +57,9 @@ class AttributeSettings(_Scheduled):
 
     distribution: str = setting(choices=("uniform", "loguniform", "gaussian"))
     setup_only: bool = setting(False)
-    """True: drawn only once, when the simulation is created."""
+    """Whether the attribute is drawn only once, when the simulation is created."""
     num_buckets: int | None = setting(None, minimum=1)
-    """Draws are rounded down to a grid of this number of values."""
+    """Draws are rounded down to a grid of this many values."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ class NoiseSettings(_Scheduled):
 
     distribution: str = setting(choices=("uniform", "gaussian"))
     range_correlated: tuple[float, ...] = setting((0.0, 0.0), length=2)
-    """The `range` of the held part, which changes only when parameters are drawn."""
+    """The `range` of noise that stays constant until parameters are drawn again."""
 
 
 @dataclass(frozen=True)
@@ -81,15 +81,15 @@ class RandomizationPlan:
     actions: NoiseSettings | None
     gravity: AttributeSettings | None
     actor: dict[tuple[str, str], AttributeSettings] = field(default_factory=dict)
-    """Settings by (group, attribute)."""
+    """Maps (group, attribute) to settings."""
     colour: bool = False
-    """True: the robot's bodies get random colours."""
+    """Whether the robot's bodies get random colours."""
     unsupported: tuple[str, ...] = ()
     """Paths of entries without a counterpart in MuJoCo."""
 
 
 def read_plan(params: Mapping[str, Any], actors: Collection[str]) -> RandomizationPlan:
-    """Return the checked `randomization_params`; the first of the task's `actors` is the robot.
+    """Check and return `randomization_params`. The first of the task's `actors` is the robot.
 
     Raises:
         ConfigError: an actor, property, attribute, value or range is invalid.
@@ -101,7 +101,7 @@ def read_plan(params: Mapping[str, Any], actors: Collection[str]) -> Randomizati
     gravity = sim.get("gravity")
     unsupported = [f"sim_params.{key}" for key in sim if key == "rest_offset"]
     entries = params.get("actor_params") or {}
-    if isinstance(entries, Mapping):  # null removes an actor of a base file
+    if isinstance(entries, Mapping):  # null removes an actor that a base file defines
         entries = {actor: groups for actor, groups in entries.items() if groups is not None}
     _check_names(entries, actors, f"{WHERE}.actor_params", "actor")
     attributes: dict[tuple[str, str], AttributeSettings] = {}

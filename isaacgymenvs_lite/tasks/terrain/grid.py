@@ -1,8 +1,8 @@
-"""The ground of AnymalTerrain: a grid of increasingly hard tiles in a flat border; its curriculum.
+"""The ground of AnymalTerrain, a grid of increasingly hard tiles in a flat border.
 
-The tile of level 0 and type 0 starts at the world origin. Levels follow each other along x, types
-along y. Each kind of tile is a pure function, as in IsaacGymEnvs. Height samples are int16 in units
-of 0.005 m, on a grid of 0.1 m whose first axis is x.
+The tile of level 0 and type 0 has a corner at the world origin. The level of a tile increases along
+x, and its type along y. As in IsaacGymEnvs, a pure function makes each kind of tile. Height samples
+are int16 in units of 0.005 m, on a grid of 0.1 m whose first axis is x.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from isaacgymenvs_lite.utils.state import Stateful
 HORIZONTAL_M = 0.1
 """Distance of neighbouring samples."""
 VERTICAL_M = 0.005
-"""Unit of height."""
+"""Unit of the height samples."""
 
 Samples = npt.NDArray[np.int16]
 Size = tuple[int, int]
 
-_OBSTACLE_GRID = 4  # samples between possible corners
+_OBSTACLE_GRID = 4  # positions and sides of obstacles vary by this number of samples
 _HOLE_DEPTH_M = 10.0
 _PLATFORM_M = 3.0
 _STEP_WIDTH_M = 0.31
@@ -38,33 +38,33 @@ _NOISE_M = 0.1
 _NOISE_SPACING_M = 0.2
 _START_AREA_M = 2.0  # square in the middle of a tile
 _DEMOTED_SHARE = 0.25
-_GROUND_M = 1.0  # thickness that stops fast bodies
+_GROUND_M = 1.0  # a thick ground stops fast bodies
 
 
 def samples_of(length_m: float) -> int:
-    """Return the number of samples in a length (m), at least 1."""
+    """Return the number of height samples along a length (m), at least 1."""
     return max(1, int(round(length_m / HORIZONTAL_M, 6)))
 
 
 def units_of(height_m: float) -> int:
     """Return a height (m) in whole units, rounded towards zero."""
-    # Rounding is needed, because 0.085 / 0.005 is less than 17 in floating point.
+    # Rounding is necessary, because 0.085 / 0.005 is less than 17 in floating point.
     return int(round(height_m / VERTICAL_M, 6))
 
 
 def pyramid_slope(size: Size, slope: float, platform_m: float) -> Samples:
-    """Return a pyramid with a flat top, or for a negative slope a pit with a flat bottom.
+    """Return a pyramid with a flat top, or a pit with a flat bottom if the slope is negative.
 
-    The height is the product of a tent in x and a tent in y, cut off at the corners of the
-    platform. `slope` is the rise over run along the middle of the tile, whose edge has height 0.
-    `platform_m` is the side of the flat square.
+    The height is a triangle function of x times one of y, limited to the height at the corners of
+    the platform. The edge of the tile has the height 0. `slope` is the rise over run along the
+    middle lines of the tile. `platform_m` is the side of the flat square.
     """
     center = (size[0] // 2, size[1] // 2)
     tent_x, tent_y = (
         1.0 - np.abs(np.arange(n) / c - 1.0) for n, c in zip(size, center, strict=True)
     )
     peak = units_of(slope * size[0] / 2 * HORIZONTAL_M)
-    # Rounding removes errors in the last bit before truncation.
+    # Rounding removes floating-point errors before truncation.
     heights = (peak * tent_x[:, None] * tent_y).round(6).astype(np.int16)
     half = samples_of(platform_m) // 2
     corner = heights[center[0] - half, center[1] - half]
@@ -74,7 +74,7 @@ def pyramid_slope(size: Size, slope: float, platform_m: float) -> Samples:
 def pyramid_stairs(
     size: Size, step_width_m: float, step_height_m: float, platform_m: float
 ) -> Samples:
-    """Return square steps that rise towards the middle, or sink for a negative height.
+    """Return square steps that rise towards the middle, or sink if the step height is negative.
 
     The outermost step has height 0. Steps are added while the middle is wider than `platform_m`.
     """
@@ -98,8 +98,8 @@ def discrete_obstacles(
 ) -> Samples:
     """Return `count` rectangles on a plane, with a free square of side `platform_m` in the middle.
 
-    The heights are plus or minus `max_height_m`, and plus or minus half of it. `sides_m` are the
-    shortest and the longest side. Later rectangles overwrite earlier ones.
+    The heights are +-`max_height_m` and +-`max_height_m` / 2. `sides_m` are the shortest and the
+    longest side of a rectangle. Later rectangles overwrite earlier ones.
     """
     top = units_of(max_height_m)
     choices = (-top, -(top // 2), top // 2, top)
@@ -117,9 +117,10 @@ def discrete_obstacles(
 def stepping_stones(
     size: Size, rng: np.random.Generator, stone_m: float, gap_m: float, platform_m: float
 ) -> Samples:
-    """Return rows of square stones at height 0 along y, with holes of 10 m between them.
+    """Return rows of square stones along y, with height 0 and with holes of 10 m between them.
 
-    `rng` draws where the first stone in each row ends. The square in the middle has no holes.
+    `rng` draws where the first stone of each row ends. The square in the middle of the tile has no
+    holes.
     """
     stone, gap = samples_of(stone_m), samples_of(gap_m)
     period = stone + gap
@@ -134,7 +135,7 @@ def stepping_stones(
 def roughness(
     size: Size, rng: np.random.Generator, amplitude_m: float, step_m: float, spacing_m: float
 ) -> Samples:
-    """Return random heights on a coarse grid, interpolated linearly, to be added to a tile.
+    """Return linearly interpolated random heights of a coarse grid, which can be added to a tile.
 
     The heights are multiples of `step_m` between -`amplitude_m` and `amplitude_m`.
     """
@@ -146,7 +147,7 @@ def roughness(
 
 
 def _stretch(values: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.float64]:
-    """Interpolate (n, m) linearly to (count, m), and keep the first and last rows."""
+    """Interpolate the rows (n, m) linearly to (count, m). The first and last rows are kept."""
     at = np.linspace(0.0, len(values) - 1.0, count)
     below = np.minimum(at.astype(np.int64), len(values) - 2)
     share = (at - below)[:, None]
@@ -174,8 +175,8 @@ class TerrainConfig(PlaneConfig):
     proportions: tuple[float, ...] = setting(
         (0.1, 0.1, 0.35, 0.25, 0.2), key="terrainProportions", minimum=0, min_length=5
     )
-    """Shares of the tile types: smooth slope, rough slope, stairs down, stairs up, obstacles. The
-    rest are stepping stones."""
+    """Shares of smooth slopes, rough slopes, stairs down, stairs up and obstacles among the tiles.
+    All other tiles are stepping stones."""
     slope_threshold: float = setting(0.5, key="slopeTreshold", minimum=0)  # no effect
     border_m: float = setting(20.0, key="borderSize", minimum=0)
     demotion_as_published: bool = setting(False, key="demotionAsPublished")
@@ -183,18 +184,18 @@ class TerrainConfig(PlaneConfig):
 
 @dataclass(frozen=True)
 class Terrain:
-    """Ground of X x Y samples with L levels of T types."""
+    """Ground of X x Y height samples, with tiles of L levels and T types."""
 
     samples: Samples
-    """(X, Y) in units of 0.005 m."""
+    """(X, Y) heights in units of 0.005 m."""
     origins: npt.NDArray[np.float64]
-    """(L, T, 3) middles of the tiles (m), at the height of the highest sample nearby."""
+    """(L, T, 3) start positions (m) in the middles of tiles, at the largest height nearby."""
     border_m: float
-    """The first sample is at (-border_m, -border_m)."""
+    """Width of the border (m). The first sample is at (-border_m, -border_m)."""
 
 
 def make_terrain(cfg: TerrainConfig, rng: np.random.Generator) -> Terrain:
-    """Return the ground of a configuration; `rng` draws the random tiles.
+    """Return the ground of a configuration, whose random tiles `rng` draws.
 
     Raises:
         ConfigError: `maxInitMapLevel` is not below `numLevels`.
@@ -231,12 +232,12 @@ def make_terrain(cfg: TerrainConfig, rng: np.random.Generator) -> Terrain:
 def _graded_tile(
     cfg: TerrainConfig, size: Size, rng: np.random.Generator, difficulty: float, choice: float
 ) -> Samples:
-    """Return the tile of a difficulty in [0, 1) and of the type at `choice` in [0, 1)."""
-    # Rounding is needed, because 0.1 + 0.1 + 0.35 is above 0.55 in floating point.
+    """Return a tile of this difficulty in [0, 1). `choice` in [0, 1) selects the tile type."""
+    # Rounding is necessary, because 0.1 + 0.1 + 0.35 exceeds 0.55 in floating point.
     ends = np.cumsum(cfg.proportions).round(9)
     step_m = 0.05 + 0.175 * difficulty
     if choice < ends[1]:
-        # The first half of the columns of a type are pits, the second half pyramids.
+        # A type's first half of the columns are pits, and the second half are pyramids.
         rough = choice >= ends[0]
         half = round((ends[0] + ends[1]) / 2 if rough else ends[0] / 2, 9)
         slope = 0.4 * difficulty
@@ -251,7 +252,7 @@ def _graded_tile(
 
 
 def _random_tile(size: Size, rng: np.random.Generator) -> Samples:
-    """Return a tile of a ground without curriculum."""
+    """Return a random tile for a ground without curriculum."""
     choice = rng.random()
     if choice < 0.1:
         tile = pyramid_slope(size, rng.choice((-0.3, -0.2, 0.0, 0.2, 0.3)), _PLATFORM_M)
@@ -270,10 +271,10 @@ def _obstacles(size: Size, rng: np.random.Generator, max_height_m: float) -> Sam
 
 
 def add_height_field(spec: mujoco.MjSpec, terrain: Terrain) -> None:
-    """Replace the geom `floor` by the ground, one height field for all environments."""
+    """Replace the geom `floor` by a height field, which all environments share."""
     heights = terrain.samples * VERTICAL_M
     lowest, highest = float(heights.min()), float(heights.max())
-    # MuJoCo's rows run along y, and its samples are relative to the elevation.
+    # In MuJoCo, rows of samples are ordered along y, and samples are shares of the elevation.
     num_x, num_y = heights.shape
     half_x, half_y = (num_x - 1) * HORIZONTAL_M / 2, (num_y - 1) * HORIZONTAL_M / 2
     spec.add_hfield(
@@ -299,12 +300,12 @@ def next_levels(
 ) -> Tensor:
     """Return the levels (n,) after an episode, as in IsaacGymEnvs.
 
-    A robot that went farther than half a tile moves up. A robot that covered less than a quarter of
-    the commanded distance moves down. If both hold, it stays. Level 0 is the lowest, and level 0
-    follows the last level.
+    A robot that went farther than half a tile goes one level up. A robot that covered less than a
+    quarter of the commanded distance goes one level down. A robot to which both apply keeps its
+    level. Level 0 is the lowest, and level 0 follows the last level.
 
-    `distances_m` (n,) are measured over the ground from the middle of the tile. `commanded_m` (n,)
-    is the commanded speed times the episode length.
+    `distances_m` (n,) are the horizontal distances from the middle of the tile. `commanded_m` (n,)
+    are the commanded speeds times the episode length.
     """
     up = (distances_m > tile_length_m / 2.0).long()
     down = (distances_m < _DEMOTED_SHARE * commanded_m).long()
@@ -314,8 +315,9 @@ def next_levels(
 class Curriculum(Stateful):
     """Levels and types (N,) int64 of the tiles of N robots.
 
-    With `demotionAsPublished`, each robot's distance is compared with the norm of the commands of
-    all robots that start at the same time, as in IsaacGymEnvs. More robots then go back a level.
+    With `demotionAsPublished`, the distance of each robot is compared with the norm of the commands
+    of all robots that start at the same time. This is an error in IsaacGymEnvs, by which more
+    robots go back a level.
     """
 
     stored = ("levels", "types")
@@ -326,14 +328,14 @@ class Curriculum(Stateful):
         self._cfg = cfg
         self._origins = torch.from_numpy(terrain.origins).float().to(device)
         num_levels, num_types = self._origins.shape[:2]
-        # All levels are equally hard without a curriculum.
+        # Without a curriculum, all levels are equally hard.
         highest = cfg.max_init_level if cfg.curriculum else num_levels - 1
         highest = min(highest, num_levels - 1)
         self.levels = torch.randint(highest + 1, (num_envs,), device=device)
         self.types = torch.randint(num_types, (num_envs,), device=device)
 
     def origins(self, env_ids: Tensor) -> Tensor:
-        """Return the middles (n, 3) of the tiles of environments (n,) (m)."""
+        """Return the middles (n, 3) m of the tiles of environments (n,)."""
         return self._origins[self.levels[env_ids], self.types[env_ids]]
 
     def update(
