@@ -75,8 +75,7 @@ class CommonPlayer(ExplainedNames, EpisodePlayer, RestoringPlayer, PpoPlayerCont
                 f"latent={latent}: this policy has no skill latents (only policies of gen_amp and"
                 " ase have); remove it"
             )
-        # rl_games' default number of episodes is too large, because it expects a user who closes
-        # the window.
+        # rl_games' default plays without end; this project's default is a number of episodes.
         self.games_num = episodes_to_play(self.player_config)
         self.has_batch_dimension = True
         self.network = self.config["network"]
@@ -147,7 +146,7 @@ class CommonPlayer(ExplainedNames, EpisodePlayer, RestoringPlayer, PpoPlayerCont
         return rescale_actions(self.actions_low, self.actions_high, actions.clamp(-1.0, 1.0))
 
     def _policy_inputs(self) -> dict[str, Tensor]:
-        """Return the policy's inputs besides the observation, (N, ...) each; called once per step."""
+        """Return the policy's inputs besides the observation; this is called once per step."""
         return {}
 
     def style_reward_function(self) -> Callable[[Tensor], Tensor] | None:

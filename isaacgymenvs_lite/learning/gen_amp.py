@@ -163,7 +163,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return self._clips.fetch_amp_obs_demo_pairs(num_samples)
 
     def _fetch_tracking_demo(self) -> TrackingDemo | None:
-        """Return poses of clips with their actions; None if the encoder does not learn from clips."""
+        """Return poses of clips with their actions if the encoder learns from clips, else None."""
         return super()._fetch_tracking_demo() if self._amp.encodes_clips else None
 
     def _tracking_latents(self, demo: TrackingDemo) -> Tensor:
@@ -227,7 +227,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return lambda: {"amp_latents": latents(env.progress_buf.to(self.ppo_device))}
 
     def _needs_next_value(self) -> Tensor:
-        """Include environments whose latent changes, because V(s') is computed with the old latent."""
+        """Include environments whose latent changes: V(s') is computed with the old latent."""
         return super()._needs_next_value() | self.schedule.is_over(self._progress())
 
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
@@ -302,7 +302,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return {**super()._dataset_row_limits(), **own}
 
     def prepare_minibatch(self, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Add latents for the diversity loss, and AMP observations for the encoder's clip losses."""
+        """Add latents for the diversity loss and AMP observations for the encoder's losses."""
         rows = super().prepare_minibatch(minibatch)
         if self._enable_amp_diversity_bonus():
             rows["diversity_latents"] = self._sample_latents(len(minibatch["amp_latents"]))
@@ -311,7 +311,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return rows
 
     def _draw_demo_triples(self) -> Tensor:
-        """Return normalised AMP observations (n, 3, F): two nearby times of a clip, a random one."""
+        """Return normalised AMP observations (n, 3, F): two from nearby times of a clip, one other."""
         demos = self._amp_obs_demo_buffer.sample(max(1, self._amp_minibatch_size // 2))
         pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
         # The order is random, and the previous row is therefore a random other row.
@@ -375,7 +375,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         ase_latents: Tensor,
         new_latents: Tensor | None = None,
     ) -> Tensor:
-        """Return the diversity loss (n,), which compares the change of actions with that of latents.
+        """Return the diversity loss (n,), which compares changes of actions and of latents.
 
         The loss is (target - |a - a'|^2 / A / (0.5 - 0.5 z . z' + 1e-5))^2; the actions a and a'
         under the latents z and z' are clamped to +-1 (ASE, eq. 14, as in its published code).
@@ -402,7 +402,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
 def make_evaluation_schedule(
     params: GenAMPParams, env: SkillEnv, encoder: SkillEncoder, device: str | torch.device
 ) -> LatentSchedule:
-    """Return a latent schedule for playing a task; latents are drawn in the same way as in training."""
+    """Return a latent schedule for playing a task, which draws latents like in training."""
     clip_latents = ClipLatents(
         params.clip_latents,
         params.latent_dim,

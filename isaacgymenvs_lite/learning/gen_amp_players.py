@@ -160,7 +160,7 @@ class SkillProbe:
         self._steps = 0
 
     def step(self, latents: Tensor, amp_obs: Tensor) -> None:
-        """Store latents (N, Z) of a step and AMP observations (N, F) after it; call before resets."""
+        """Store latents (N, Z) and resulting AMP observations (N, F); call this before resets."""
         self._steps += 1
         if self._steps % _STRIDE:
             return

@@ -227,7 +227,7 @@ def _model_builder(train_params: dict[str, Any], llc_config: str) -> Any:
 
 
 def find_llc_checkpoint(llc_checkpoint: str) -> Path:
-    """Return the checkpoint of a low-level controller, given its path or a shipped policy's name."""
+    """Return a low-level controller's checkpoint, given its path or a shipped policy's name."""
     shipped = shipped_policies()
     path = shipped.get(llc_checkpoint) or user_path(llc_checkpoint)
     if llc_checkpoint and path.is_file():
