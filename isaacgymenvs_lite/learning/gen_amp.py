@@ -311,7 +311,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return rows
 
     def _draw_demo_triples(self) -> Tensor:
-        """Return normalised AMP observations (n, 3, F): two from nearby times of a clip, one other."""
+        """Return normalised AMP observations (n, 3, F): two nearby times of a clip, one other."""
         demos = self._amp_obs_demo_buffer.sample(max(1, self._amp_minibatch_size // 2))
         pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
         # The order is random, and the previous row is therefore a random other row.

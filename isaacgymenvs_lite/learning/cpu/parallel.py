@@ -271,9 +271,7 @@ class NetworkExecutor:
         def work(first: int) -> None:
             self._within.slice = True
             try:
-                with torch.set_grad_enabled(
-                    grad_enabled
-                ):  # Gradients are enabled or disabled per thread.
+                with torch.set_grad_enabled(grad_enabled):  # This switch is per thread.
                     for i in range(first, len(arguments), busy):
                         results[i] = function(*arguments[i])
             finally:
