@@ -161,7 +161,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         """Build an agent's additional modules, after the model."""
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
-        """Return Adam's parameter groups; the learning rate schedule changes only the first group."""
+        """Return Adam's parameter groups; the learning rate schedule changes only the first."""
         return [{"params": list(self.model.parameters())}]
 
     # --- before the first epoch ------------------------------------------------------------
@@ -188,7 +188,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return super().env_reset()
 
     def _init_train(self) -> None:
-        """Prepare the first rollout, after buffers are allocated and before environments are reset."""
+        """Prepare the first rollout, after buffers are allocated and before the first reset."""
 
     # --- epoch -----------------------------------------------------------------------------
 

@@ -170,7 +170,7 @@ class Safeguards(Resuming):
             self._save_without_reward()
 
     def _save_without_reward(self) -> None:
-        """Write this epoch's checkpoint if rl_games does not write it, because no episode has ended."""
+        """Write a checkpoint if no episode has ended, because rl_games then writes none."""
         if self.game_rewards.current_size > 0:
             return
         # This is rl_games' name of the last checkpoint.
@@ -180,7 +180,7 @@ class Safeguards(Resuming):
     # --- values that are not finite --------------------------------------------------------
 
     def _check_learned(self) -> None:
-        """Raise NotFiniteError if networks, normalisers or Adam's running averages are not finite."""
+        """Raise NotFiniteError if networks, normalisers or Adam's averages are not finite."""
         self._check_finite(dict(_tensors_of(self._parts())))
 
     def _check_finite(self, tensors: Mapping[str, Tensor]) -> None:
@@ -316,7 +316,7 @@ class DataParallel(A2CAgent):
         return result
 
     def count_frames(self) -> None:
-        """Count an epoch's frames in every process except the main one, where rl_games counts them."""
+        """Count an epoch's frames in all processes but the main one, where rl_games counts them."""
         group = current_group()
         if not group.is_main:
             self.frame += self.curr_frames * group.size
@@ -407,7 +407,7 @@ class PPOSafeguards(Safeguards, DataParallel):
             )
 
     def _enough_rows(self, num_rows: int) -> int:
-        """Return `num_rows`, the number of rows without divergence; raise an error if it is below 2."""
+        """Return `num_rows`, the number of valid transitions; raise an error if it is below 2."""
         if num_rows < 2:
             raise self._end(
                 f"the simulations diverged in all steps of epoch {self.epoch_num}: no transitions"
