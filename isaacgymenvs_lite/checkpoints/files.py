@@ -124,7 +124,7 @@ class Retention:
 
 
 def plain_numbers(value: Any) -> Any:
-    """Replace numpy scalars by Python scalars, and numpy arrays by tensors; `archive` reads these."""
+    """Replace numpy scalars by Python scalars and numpy arrays by tensors, for `archive`."""
     if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
         return value.item()
     if isinstance(value, np.ndarray):
@@ -257,7 +257,7 @@ def fit_optimizer_state(
 
 
 def checkpoint_of_tree(tree: Mapping[str, Any], checkpoint: str, train_dir: str | Path) -> str:
-    """Return the path that `checkpoint` means in a resolved configuration; see `resolve_checkpoint`."""
+    """Return the path that `checkpoint` means in a configuration; see `resolve_checkpoint`."""
     network = select(tree, "train.params.network.name")
     return resolve_checkpoint(checkpoint, train_dir, tree["task"]["name"], str(network or ""))
 

@@ -79,7 +79,7 @@ def inherited_settings(arguments: Sequence[str]) -> list[str]:
     chosen = {"task": info.task, **typed}
     try:
         tree = compose([f"{key}={value}" for key, value in chosen.items()])
-    except ConfigError:  # The training reports a missing file.
+    except ConfigError:  # The files are in a user's folder, or are missing.
         return playing_overrides(name)[1:]
     files = OmegaConf.to_container(tree, resolve=True)
     settings, in_network = info.settings, f"{_NETWORK}."
