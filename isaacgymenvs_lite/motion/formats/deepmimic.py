@@ -69,7 +69,7 @@ def is_package_name(motion_file: str | Path) -> bool:
 
 
 def clips_in_package() -> list[str]:
-    """Return the full names of all clips in the package, for example `deepmimic:humanoid3d_walk`."""
+    """Return the full names of all clips in the package, such as `deepmimic:humanoid3d_walk`."""
     return [PREFIX + name for name in _paths_of_clips(PREFIX + _ALL_SET)]
 
 

@@ -73,7 +73,7 @@ class _Dtype:
         self.order = state[1]
 
     def values(self, content: bytes) -> npt.NDArray[Any]:
-        """Return the values (N,) that raw bytes contain; raise ValueError for a dtype of objects."""
+        """Return the values (N,) in raw bytes; raise ValueError for a dtype of objects."""
         if not re.fullmatch(r"[<>=|]([fiub]\d|U\d+)", self.order + self.name):
             raise ValueError(f"an array of type '{self.order}{self.name}'")
         return np.frombuffer(content, self.order + self.name).copy()

@@ -302,8 +302,8 @@ def _root_first(
 def _quat_order(body_pos_w: FloatArray, body_quat_w: FloatArray) -> QuatOrder:
     """Return the order of body quaternions (T, B, 4), deduced from body positions (T, B, 3) m.
 
-    With the right order, a body that is attached to the root keeps its position in the root's
-    frame. If the positions do not determine the order, wxyz is returned.
+    With the right order, a body that a hinge at its origin attaches to the root keeps its position
+    in the root's frame. If the positions do not determine the order, wxyz is returned.
     """
     sample = slice(None, None, 1 + len(body_pos_w) // _COMPARED_FRAMES)
     arms_w = body_pos_w[sample, 1:] - body_pos_w[sample, :1]
