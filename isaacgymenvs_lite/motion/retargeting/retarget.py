@@ -244,7 +244,7 @@ def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
 
 
 def _make_continuous(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> None:
-    """Change signs of quaternions (T, nq) in place, so that they do not jump and start with w >= 0."""
+    """Change signs of quaternions in place: no jumps over time, and w >= 0 in the first frame."""
     for joint in range(model.njnt):
         kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
         if kind == mujoco.mjtJoint.mjJNT_HINGE:

@@ -175,7 +175,7 @@ def robot_problem(robot: Robot, targets: Targets, fps: float) -> IkProblem:
 
 
 def _check(model: mujoco.MjModel, mapping: RobotMapping) -> None:
-    """Raise a ConfigError for joint types that retargeting does not support and for unknown bodies."""
+    """Raise a ConfigError for unsupported joint types and for unknown body names."""
     kinds = [mujoco.mjtJoint(kind) for kind in model.jnt_type]
     if not kinds or kinds[0] != mujoco.mjtJoint.mjJNT_FREE or model.jnt_bodyid[0] != 1:
         raise ConfigError(
