@@ -53,12 +53,12 @@ _MAX_SHOWN = 80
 
 
 def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
-    """Write `state` to `<filename>.pth`; return the written file, or None.
+    """Write `state` to `<filename>.pth`; return the written file, or None if writing failed.
 
     An older file stays intact until the new file is complete. A deleted run folder is created
     again. If the run folder cannot be written (read-only or full), the failure is logged, and the
-    checkpoint is written to a private folder below the system's temporary folder. If that fails as
-    well, None is returned.
+    checkpoint is written to a private folder below the system's temporary folder. If neither folder
+    can be written, None is returned.
     """
     path = Path(f"{filename}.pth")
     state = plain_numbers(state)
@@ -142,9 +142,9 @@ def plain_numbers(value: Any) -> Any:
 def load_checkpoint(filename: str | Path) -> dict[str, Any]:
     """Load a checkpoint on the CPU without running code from it; see `archive`.
 
-    It accepts files of rl_games 1.6.5, IsaacGymEnvs and ASE, and removes the prefix that
-    `torch.compile` adds to parameter names. `learning.restoring` checks whether the checkpoint fits
-    the networks.
+    Files of rl_games 1.6.5, IsaacGymEnvs and ASE are accepted. The prefix that `torch.compile` adds
+    to parameter names is removed. `learning.restoring` checks whether the checkpoint fits the
+    networks.
 
     Raises:
         CheckpointError: the file is missing, damaged or no checkpoint.
@@ -227,7 +227,7 @@ def fit_optimizer_state(
 
     A checkpoint of IsaacGymEnvs has one group in the order of the model's parameters, and an agent
     with `disc_learning_rate` has two groups. The states get new indices, because torch counts
-    parameters group by group. Raises CheckpointError if the number of groups cannot be converted.
+    parameters group by group. Raises CheckpointError for other numbers of groups.
     """
     groups = state["param_groups"]
     if len(groups) == len(optimizer.param_groups):

@@ -53,9 +53,9 @@ def shipped_reference(reference: Mapping[str, str]) -> dict[str, str]:
 def llc_checkpoint_for(llc_checkpoint: str | None, params: Mapping[str, Any]) -> str:
     """Return the path or shipped name of the low-level controller for a training or a play.
 
-    The key `llc_checkpoint` is used if it is set. If it is None or '', the entry of the loaded
-    checkpoint is used. If there is no entry either, None selects the shipped low-level controller,
-    and '' is returned unchanged. `params` is the section of the train file.
+    The key `llc_checkpoint` is used if it is set. If `llc_checkpoint` is None or '', the entry of
+    the loaded checkpoint is used. If the checkpoint has no entry, None selects the shipped
+    low-level controller, and '' is returned unchanged. `params` is the section of the train file.
     """
     if llc_checkpoint:
         return llc_checkpoint

@@ -57,7 +57,7 @@ _NEEDED = (
     # A shipped low-level policy contains its settings, and `llc_config` is therefore not needed.
     f"{_CONFIG}.llc_steps",
 )
-# These keys of the sections above are not needed to play a policy.
+# The following keys are in these sections, but are not needed to play a policy.
 _NOT_NEEDED = (
     *("task.env.numEnvs", "task.env.episodeLength", "task.env.envSpacing"),
     *("task.env.cameraFollow", "task.env.enableDebugVis"),

@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_.]*")
 _NO_TEXT = ("true", "false", "null", "nan", "inf")
 _NETWORK = "train.params.network"
-# These arguments select files or devices, and thus change other settings. A comma in them means a
+# The values of other settings depend on these arguments. An argument with a comma belongs to a
 # sweep.
 _FILE_KEYS = ("task", "train", "rl_device")
 
@@ -31,7 +31,8 @@ def playing_overrides(name: str) -> list[str]:
     The overrides restore the settings of the policy's training, except `checkpoint`, devices and
     sizes.
     """
-    # This import is local, because it imports torch, which takes long and is rarely needed.
+    # The import is local, because it loads torch, which takes long and which most command lines do
+    # not need.
     from isaacgymenvs_lite.checkpoints.packed import read_policy_info
 
     info = read_policy_info(shipped_policies()[name])
@@ -64,14 +65,16 @@ def inherited_settings(arguments: Sequence[str]) -> list[str]:
     """Return the settings that a run takes from the shipped policy with which it begins.
 
     A later play of the run needs them, because it reads only the task file, the train file and the
-    user's overrides. The result holds, as overrides, those settings of the policy that differ from
-    the two files. If the files are in a user's folder, the result holds all settings of the policy.
+    user's overrides. The returned overrides are those settings of the policy that differ from the
+    task file and the train file. If the files are in a user's folder, the result holds all settings
+    of the policy.
     """
     typed = _settings(arguments)
     name = typed.get("checkpoint", "")
     if name not in shipped_policies():
         return []
-    # This import is local, because it imports torch, which takes long and is rarely needed.
+    # The import is local, because it loads torch, which takes long and which most command lines do
+    # not need.
     from isaacgymenvs_lite.checkpoints.packed import read_policy_info
 
     info = read_policy_info(shipped_policies()[name])

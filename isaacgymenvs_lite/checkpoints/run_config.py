@@ -27,8 +27,8 @@ log = logging.getLogger(__name__)
 SECTIONS = ("task.env", "train.params.network", "train.params.config")
 """Sections that the configuration of a run must have."""
 
-# `resume=` reads only these keys from a run's config.yaml, which may come from somebody else. None
-# of them opens a viewer, makes a video or uploads to W&B.
+# `resume=` reads only these keys from a run's config.yaml, which may come from somebody else. Keys
+# that open a viewer, make a video or upload to W&B are not among them.
 _OF_RUN = frozenset(
     (
         *("task", "train", "pbt", "task_name", "task_checkout", "experiment"),

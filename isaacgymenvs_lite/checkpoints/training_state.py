@@ -53,8 +53,8 @@ class TrainingState:
         checkpoint: networks, optimisers and counts.
         memory: state of the agent and the task, or None if the file is a checkpoint.
         buffers: rows of replay buffers by name, or None if there is no file of replay buffers.
-        num_processes: number of processes that wrote the training state. If it differs from the
-            current number, `memory` comes from the main process.
+        num_processes: number of processes that wrote the training state. If the current number of
+            processes differs, `memory` comes from the main process.
     """
 
     checkpoint: dict[str, Any]
@@ -95,7 +95,7 @@ def write_training_state(
 
 
 def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:
-    """Write a checkpoint from which another process shall continue a run; return its path.
+    """Write a checkpoint from which another process can continue a run; return its path.
 
     The training states of the run are removed: `resume=` prefers training states, and their
     networks are older.

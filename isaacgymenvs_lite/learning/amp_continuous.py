@@ -41,7 +41,7 @@ log = logging.getLogger(__name__)
 # Smoothing factor of `AMPAgent.staying_up`, which follows half of a change within 14 epochs.
 _PER_EPOCH = 0.05
 # `staying_up` rises from 0 to 1 between these mean episode lengths (shares of the time limit). The
-# second is below 1 because exploration noise shortens training episodes.
+# upper length is below 1, because exploration noise shortens episodes in training.
 _BEGINS_TO_STAY_UP, _STAYS_UP = 0.3, 0.6
 _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 
@@ -162,7 +162,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         self._amp_replay_buffer = ReplayBuffer(self._amp.amp_replay_buffer_size, self.ppo_device)
 
     def _build_rand_action_probs(self) -> None:
-        """Set `_rand_action_probs` (N,), the probability of exploration noise."""
+        """Set `_rand_action_probs` (N,), each environment's probability of exploration noise."""
         self._rand_action_probs = torch.ones(self.num_actors, device=self.ppo_device)
         if self._amp.enable_eps_greedy:
             self._rand_action_probs = exploration_probs(self.num_actors).to(self.ppo_device)

@@ -40,7 +40,7 @@ is logged under its name. A term with weight 0 is only logged."""
 class CommonAgent(ExplainedNames, PPOSafeguards):
     """PPO that resets ended episodes before a policy step, and bootstraps with values V(s').
 
-    Its methods have the names and arguments of the agents in IsaacGymEnvs and ASE. docs/amp.md
+    The methods have the names and arguments of the agents in IsaacGymEnvs and ASE. docs/amp.md
     lists the differences from rl_games.
 
     Attributes:
@@ -86,7 +86,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
                 " model, network and config"
             )
         self._precision = _prepare_settings(self._section["config"], self.unsupported_keys)
-        # The constructor of A2CAgent is left out, because it builds the model before the keys are
+        # The constructor of A2CAgent is not called, because it builds the model before the keys are
         # read.
         ContinuousA2CBase.__init__(self, base_name, self._section)
         self._check_batch_size()
@@ -479,7 +479,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def calc_gradients(self, input_dict: dict[str, Tensor]) -> None:
         """Take one gradient step on a minibatch.
 
-        It sets `self.train_result` to means over the minibatch: `entropy`, `kl`, `last_lr`,
+        The method sets `self.train_result` to means over the minibatch: `entropy`, `kl`, `last_lr`,
         `lr_mul`, `b_loss`, `actor_loss`, `actor_clip_frac`, `critic_loss`, and the agent's
         additional loss terms.
         """
@@ -509,9 +509,9 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def prepare_minibatch(self, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Update the running statistics, and return the rows that `compute_loss` needs.
 
-        Several threads compute slices of these rows. This method therefore draws random numbers,
-        and computes values that depend on all rows. `row_weights` (M,), with mean 1, are weights of
-        the rows in the policy's losses.
+        Several threads compute slices of these rows. Random numbers, and values that depend on all
+        rows, are therefore computed here and not in `compute_loss`. `row_weights` (M,), with mean
+        1, are weights of the rows in the policy's losses.
         """
         inputs = self._normalizer_inputs(minibatch)
         for normalizer, *_ in inputs:
@@ -638,7 +638,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     # --- learning rate ---------------------------------------------------------------------
 
     def _schedule_learning_rate(self, kl: Tensor) -> None:
-        # `item` waits for the GPU, and only the adaptive schedule needs the KL divergence.
+        # The KL divergence is read only for the adaptive schedule, because `item` waits for the
+        # GPU.
         value = current_group().mean(kl).item() if self.is_adaptive_lr else 0.0
         self._advance_schedule(value)
         self.update_lr(self.last_lr)

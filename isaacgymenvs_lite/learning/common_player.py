@@ -66,8 +66,8 @@ class CommonPlayer(ExplainedNames, EpisodePlayer, RestoringPlayer, PpoPlayerCont
     """Whether policies of this player receive skill latents."""
 
     def __init__(self, params: dict[str, Any]) -> None:
-        # The constructor of PpoPlayerContinuous is left out, because it builds the model before its
-        # inputs are known.
+        # The constructor of PpoPlayerContinuous is not called, because it builds the model before
+        # the model's inputs are known.
         BasePlayer.__init__(self, params)
         latent = self.player_config.get("latent")
         if latent and not self.is_latent_conditioned:

@@ -2,7 +2,7 @@
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
 An encoder infers the latent from the motion. The policy is rewarded if the inferred latent is
-similar to its own, and different latents therefore become different skills.
+similar to the policy's latent; different latents therefore become different skills.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ _DISC_LATENTS = ("amp_obs_replay_latents", "amp_obs_demo_latents")
 class GenAMPAgent(SkillRewards, AMPAgent):
     """The agent of `algo: name: gen_amp` or `ase`.
 
-    The task is a `SkillEnv`. It must be a `ClipSkillEnv` if latents are inferred from clips, if the
-    encoder has losses on clips, or if the discriminator is conditional.
+    The task is a `SkillEnv`. The task must be a `ClipSkillEnv` if latents are inferred from clips,
+    if the encoder has losses on clips, or if the discriminator is conditional.
 
     Attributes:
         encoder: reward and loss of the encoder.
@@ -283,7 +283,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         batch_dict |= {"amp_obs_demo": demos, "amp_obs_demo_latents": latents}
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
-        """Fill the dataset, including the latents for policy and discriminator."""
+        """Fill the dataset, and add the latents for policy and discriminator."""
         super().prepare_dataset(batch_dict)
         rows = self.dataset.values_dict
         rows["amp_latents"] = rows["amp_obs_latents"] = batch_dict["amp_latents"]
@@ -385,7 +385,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
             obs: (n, O) normalised observations.
             action_params: (n, A) mean actions under `ase_latents`.
             ase_latents: (n, Z) latents z.
-            new_latents: (n, Z) latents z'. If they are None, this method draws them.
+            new_latents: (n, Z) latents z'. If `new_latents` is None, this method draws them.
         """
         new_z = self._sample_latents(len(obs)) if new_latents is None else new_latents
         other_mu, _ = self._eval_actor(obs, new_z)

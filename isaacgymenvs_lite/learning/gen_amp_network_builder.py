@@ -114,8 +114,8 @@ class GenAMPBuilder(AMPBuilder):
                     "train.params.network.separate=False: actor and critic share layers, but only"
                     " the actor encodes the latent as a style; set it to True"
                 )
-            # These values are set first, because the base class' constructor builds the
-            # discriminator.
+            # The attributes are set before the base class' constructor, which builds the
+            # discriminator from them.
             self._latent_dim = int(latent_shape[0])
             self._latent_scale = float(params.get("latent_scale", 1.0))
             super().__init__(params, **kwargs)
@@ -136,7 +136,7 @@ class GenAMPBuilder(AMPBuilder):
                 )
             enc = params["enc"]
             self._enc_separate = bool(enc.get("separate", False))
-            # These keys are only used for a separate encoder.
+            # The keys of the section `enc` are only used for a separate encoder.
             self._enc_units = list(enc["units"] if self._enc_separate else enc.get("units") or ())
             self._enc_activation = enc["activation"] if self._enc_separate else ""
             self._enc_initializer = enc.get("initializer", DEFAULT_INITIALIZER)

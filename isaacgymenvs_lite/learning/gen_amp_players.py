@@ -32,14 +32,14 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
     """The player of `gen_amp` and `ase`.
 
     The key `latent` of `train.params.config.player` (`latent=` for `train.py`) has three forms.
-    `random`, the default, draws new latents at resets and after random numbers of steps, like in
-    training. `interpolate` moves gradually from each latent to the next. A .npy file (K,
+    `random`, the default, draws new latents at resets and after random numbers of steps, as
+    training does. `interpolate` moves gradually from each latent to the next. A .npy file (K,
     latent_dim) fixes the latents: environment i always uses row i mod K.
 
     Attributes:
         encoder: infers latents from motion.
         current_latents: (N, Z) latents in the last control step.
-        skills: the skills that `run` measured. It is None before `run`, if all episodes were too
+        skills: the skills that `run` measured, or None before `run`, if all episodes were too
             short, or if the task is no `ClipWindowsEnv`.
 
     Raises:
@@ -133,7 +133,8 @@ class SkillResult:
         clips: share of the policy's motion that resembles each clip.
         encoder_reward: mean encoder reward of the motion for the policy's own latents.
         shuffled_reward: mean encoder reward of the motion for latents of other environments and
-            times. Both rewards are equal if the motion does not depend on the latent.
+            times. `encoder_reward` and `shuffled_reward` are equal if the motion does not depend on
+            the latent.
     """
 
     clips: ClipShares

@@ -92,9 +92,9 @@ class HRLAgent(OverLowLevel, CommonAgent):
     """The agent of `algo: name: hrl` or `hrl_continuous`.
 
     A high-level step consists of `llc_steps` control steps under one latent, and its reward is the
-    mean of their rewards. If an episode ends during a high-level step, its remaining control steps
-    get no reward, and the environment is reset after the last control step. The task is a
-    `HierarchyEnv`.
+    mean of their rewards. If an episode ends during a high-level step, the remaining control steps
+    of the high-level step get no reward, and the environment is reset after the last control step.
+    The task is a `HierarchyEnv`.
 
     Attributes:
         style_rewards: (N, 1) style rewards of the low-level controller in the last high-level step.
@@ -282,8 +282,7 @@ class CorrelatedNoise(Stateful):
     def apply(self, actions: Tensor, mus: Tensor, sigmas: Tensor) -> tuple[Tensor, Tensor]:
         """Return actions (N, A) with correlated noise and their negative log probabilities (N,).
 
-        The argument `actions` has independent noise: `mus` + `sigmas` * standard normal noise, (N,
-        A) each.
+        The argument `actions` is `mus` + `sigmas` * independent standard normal noise, (N, A) each.
         """
         noise = (actions - mus) / sigmas
         if self._last is not None:
@@ -296,7 +295,7 @@ class CorrelatedNoise(Stateful):
 
 
 def complete_params(params: Mapping[str, Any], train_file: str) -> dict[str, Any]:
-    """Return a complete section `params`, like the one that rl_games' Runner passes to an agent.
+    """Return a complete section `params`, which rl_games' Runner passes to an agent.
 
     Users of the published HRLAgent call its constructor with a flat configuration.
 

@@ -1,4 +1,4 @@
-"""Explains published methods and attributes of IsaacGymEnvs' and ASE's agents that are absent here.
+"""Explains which names replace those names of IsaacGymEnvs' and ASE's agents that are missing here.
 
 A user's subclass may override a published method that this project never calls. The class statement
 of such a subclass raises an error. docs/migration.md lists all published names.

@@ -13,9 +13,9 @@ from isaacgymenvs_lite.learning.published_names import PublishedNames
 class ReplayBuffer(PublishedNames):
     """Holds the newest `buffer_size` rows, like the ReplayBuffer of IsaacGymEnvs.
 
-    `sample` walks through a random permutation of all rows, and then draws a new permutation. It
-    returns every row once before it returns a row twice. While the buffer is not full, indices are
-    taken modulo the number of stored rows.
+    `sample` walks through a random permutation of all rows, and then draws a new permutation. Every
+    row is thus sampled once before any row is sampled twice. While the buffer is not full, indices
+    are taken modulo the number of stored rows.
     """
 
     def __init__(self, buffer_size: int, device: str | torch.device) -> None:

@@ -51,7 +51,7 @@ _AS_THEY_ARE = ("epoch", "frame", "last_mean_rewards", "env_state", LLC_KEY)
 
 
 class Fitting:
-    """Compares a checkpoint with the modules and optimisers that shall load it.
+    """Compares a checkpoint with the modules and optimisers into which it is loaded.
 
     Error messages begin with `source`, the user's argument (`checkpoint=FILE`), and end with
     `hint`.
@@ -162,7 +162,7 @@ class Fitting:
 class RestoringPlayer(BasePlayer):
     """Mixin that loads a checkpoint only if all of it fits.
 
-    It stands before rl_games' player in the list of base classes.
+    In a list of base classes, the mixin stands before rl_games' player.
     """
 
     model: Any

@@ -203,7 +203,7 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         """Take a gradient step once the replay buffer holds a batch; return values to log.
 
         Between two updates of the actor (`policy_frequency`), the actor's last values are repeated.
-        rl_games returns zeros and None there, and cannot average them.
+        In these steps, rl_games' method returns zeros and None, which rl_games cannot average.
         """
         buffer = self.replay_buffer
         if not buffer.full and buffer.idx < self.batch_size:

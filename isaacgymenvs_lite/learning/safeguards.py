@@ -1,8 +1,8 @@
 """Base classes of all agents, which check networks that are restored, trained or saved.
 
 rl_games' training loop does not check checkpoints; it continues with nan, and overwrites good
-checkpoints by networks with nan. It writes no periodic checkpoint before the first episode has
-ended.
+checkpoints by networks with nan. rl_games writes no periodic checkpoint before the first episode
+has ended.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _METERS = ("game_rewards", "game_shaped_rewards", "game_lengths")
 class Safeguards(Resuming):
     """Loads only checkpoints that fit, and saves only finite networks.
 
-    It stands before rl_games' agent in the list of base classes.
+    In a list of base classes, this class stands before rl_games' agent.
     """
 
     game_rewards: Any
@@ -173,7 +173,7 @@ class Safeguards(Resuming):
         """Write a checkpoint if no episode has ended, because rl_games then writes none."""
         if self.game_rewards.current_size > 0:
             return
-        # This is rl_games' name of the last checkpoint.
+        # rl_games gives this name to the last checkpoint.
         name = f"last_{self.config['name']}_ep_{self.epoch_num}_rew_{-torch.inf}"
         self.save(os.path.join(self.nn_dir, name))
 
@@ -276,11 +276,10 @@ class DataParallel(A2CAgent):
     """PPO in several processes, each with its own environments.
 
     A single process runs rl_games' PPO. rl_games averages gradients and KL divergences over the
-    processes and ends all of them together, but its constructor starts NCCL. This class therefore
-    constructs the agent like in a single process, and the agent joins the other processes before
-    its first epoch. The class also copies the initial parameters to all processes, counts frames,
-    and shares episode statistics. `distributed.moments` shares the statistics of normalisers and
-    advantages.
+    processes and ends all of them together, but its constructor starts NCCL. An agent is therefore
+    constructed for a single process, and joins the other processes before its first epoch. The
+    class also copies the initial parameters to all processes, counts frames, and shares episode
+    statistics. `distributed.moments` shares the statistics of normalisers and advantages.
     """
 
     has_joined = False
@@ -477,7 +476,7 @@ def _tensors_of(parts: Parts) -> Iterator[tuple[str, Tensor]]:
 def _all_finite(tensors: Iterable[Tensor]) -> bool:
     """Return whether the sum of each tensor is finite.
 
-    The result is also False if a sum of finite values overflows.
+    If a sum of finite values overflows, False is returned as well.
     """
     sums = [tensor.sum(dtype=torch.float32) for tensor in tensors]
     if not sums:

@@ -1,9 +1,8 @@
 """A warm start: the policy's mean action learns to follow the clips before the first epoch.
 
-An untrained policy needs millions of frames to learn the drive targets that follow a clip. These
-targets can be computed, and behaviour cloning teaches them to the actor in some seconds, from noisy
-states of the clips. Afterwards the policy cannot keep its balance yet; it learns that in the
-training.
+An untrained policy needs millions of frames to learn the drive targets that follow a clip. The
+drive targets can be computed, and behaviour cloning teaches them to the actor in some seconds, from
+noisy states of the clips. The policy only learns in the later training to keep its balance.
 """
 
 from __future__ import annotations

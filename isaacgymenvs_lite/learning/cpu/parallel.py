@@ -28,8 +28,8 @@ from isaacgymenvs_lite.utils.threads import one_torch_thread
 # A slice has at least this many rows.
 _MIN_ROWS = 128
 # Cost b of each additional slice, in multiplications. Python's interpreter lock serialises small
-# operations of the slices. For a multiplications, s slices cost a / s + b * s, which is least for s
-# = sqrt(a / b).
+# operations of the slices. If a network needs `a` multiplications, the cost of s slices is a / s +
+# b * s, which is least for s = sqrt(a / b).
 _PRODUCTS_OF_A_SLICE = 300_000_000
 # Rows per slice and largest number of slices under `torch_deterministic=True`. Smaller slices cost
 # more, because each slice casts the weights and computes separate gradients; larger slices leave
@@ -65,8 +65,7 @@ def parallelize(model: Any, device: str | torch.device, mixed_precision: Any) ->
 def take_models(agent: Any, device: str | torch.device, precision: Any) -> NetworkExecutor:
     """Give an agent's policy and critic fast normalisers and networks; return the executor.
 
-    This also sets the agent's `value_mean_std`. The returned executor is that of the policy's
-    network.
+    The agent's `value_mean_std` is set as well. The executor of the policy's network is returned.
     """
     models = [agent.model]
     if agent.has_central_value:
@@ -172,7 +171,7 @@ class NetworkExecutor:
         num_threads: largest number of threads.
         can_slice: whether all functions treat each row independently.
         row_products: number of multiplications per row (about the number of parameters), which
-            limits the number of slices. If it is None, all threads are used.
+            limits the number of slices. If `row_products` is None, all threads are used.
     """
 
     def __init__(
@@ -378,8 +377,8 @@ def split_proportionally(
 ) -> tuple[list[dict[str, Tensor]], list[float]]:
     """Split tensors of different lengths, so that a slice has the same share of every tensor.
 
-    Return the slices and their shares. Their number is at most `slices`, and at most the greatest
-    common divisor of the lengths.
+    Return the slices and their shares. The number of slices is at most `slices`, and at most the
+    greatest common divisor of the lengths.
     """
     unit = math.gcd(*map(len, rows.values()))
     slices = max(1, min(slices, unit))

@@ -36,8 +36,7 @@ class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
     def forward(self, obs_dict: dict[str, Any]) -> tuple[Any, ...]:
         """Return mean actions, log standard deviations, values and no recurrent state.
 
-        This method replaces rl_games' forward pass, which does not call `eval_actor` and
-        `eval_critic`.
+        rl_games' forward pass is replaced, because it does not call `eval_actor` and `eval_critic`.
         """
         own, base = type(self), ActorCriticNetwork
         if own.eval_actor is base.eval_actor and own.eval_critic is base.eval_critic:

@@ -106,8 +106,8 @@ def eval_discriminator(
         network: a network with `DiscriminatorLayers`.
         agent: normalised AMP observations (K, F) of the policy and, for a conditional
             discriminator, latents (K, Z).
-        replay: the same for AMP observations from the replay buffer.
-        demo: the same for AMP observations of the clips.
+        replay: AMP observations and latents from the replay buffer.
+        demo: AMP observations and latents of the clips.
 
     Returns:
         `disc_agent_logit`, `disc_agent_replay_logit`, `disc_demo_logit` (K, 1), and
@@ -160,8 +160,8 @@ class StyleDiscriminator:
     `disc_reward` (`least_squares` or `logistic`) is used if `params.disc_reward` is None.
 
     Attributes:
-        normalizer: running mean and variance of AMP observations, or None if `normalize_amp_input`
-            is False. It is no part of the model.
+        normalizer: running mean and variance of AMP observations (no part of the model), or None if
+            `normalize_amp_input` is False.
         grad_penalty: current weight of the gradient penalty in the loss.
     """
 
@@ -276,7 +276,7 @@ class StyleLosses(StyleRewards):
             obs_demo: (K, F) AMP observations of the clips, for which `disc_demo_logit` was
                 computed.
             disc_demo_gradient: (K, F) differentiable gradients of `disc_demo_logit` with respect to
-                `obs_demo`. If they are None, this method computes them.
+                `obs_demo`. If `disc_demo_gradient` is None, this method computes the gradients.
 
         Returns:
             `disc_loss` (weighted sum of prediction, logit regularisation, gradient penalty and

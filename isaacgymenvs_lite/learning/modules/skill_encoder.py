@@ -28,7 +28,10 @@ class SkillEncoder:
         self._params = params
 
     def reward(self, amp_obs: Tensor, latents: Tensor) -> Tensor:
-        """Return max(q(x) . z, 0) * enc_reward_scale, (..., 1), for raw x (..., F), z (..., Z)."""
+        """Return rewards (..., 1): max(q(x) . z, 0) * enc_reward_scale.
+
+        The arguments are AMP observations x (..., F), not normalised yet, and latents z (..., Z).
+        """
         return self.reward_from_latents(self.read(amp_obs), latents)
 
     def reward_from_latents(self, found: Tensor, latents: Tensor) -> Tensor:
@@ -65,7 +68,7 @@ class SkillEncoder:
 class SkillRewards:
     """Mixin with the published reward methods of GenAMP agents and players.
 
-    It stands before AMP's class in the list of base classes.
+    In a list of base classes, this mixin stands before AMP's class.
     """
 
     model: Any
@@ -101,8 +104,8 @@ class SkillRewards:
     ) -> dict[str, Tensor]:
         """Return "disc_rewards" and "enc_rewards" (..., 1) of raw AMP observations (..., F).
 
-        `ase_latents` (..., Z) are the policy's latents. If they are None, the latents of the
-        rollout are used.
+        `ase_latents` (..., Z) are the policy's latents. If `ase_latents` is None, the latents of
+        the rollout are used.
         """
         latents = self._reward_latents()[0] if ase_latents is None else ase_latents
         of_disc = (latents,) if self._disc_is_conditional else ()

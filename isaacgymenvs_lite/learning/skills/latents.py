@@ -123,7 +123,7 @@ class ClipLatents:
     def for_starts(self, amp_obs: Tensor) -> tuple[Tensor, Tensor]:
         """Return latents (n, Z) for episodes that start with AMP observations (n, F).
 
-        The second result (k,) holds the indices of the rows whose latents were inferred.
+        The second result (k,) contains the indices of the latents that the encoder inferred.
         """
         latents, chosen = self.random(len(amp_obs), amp_obs.device)
         if len(chosen) > 0:
@@ -131,7 +131,7 @@ class ClipLatents:
         return latents, chosen
 
     def random(self, n: int, device: str | torch.device) -> tuple[Tensor, Tensor]:
-        """Return random latents (n, Z), and indices (k,) of those that clips shall replace."""
+        """Return random latents (n, Z), and indices (k,) of the ones to replace by clip latents."""
         sample = self._sample or (lambda k: sample_latents(k, self._latent_dim, device))
         latents = sample(n).to(device)
         if self._share == 0.0:  # The random generator is not advanced.

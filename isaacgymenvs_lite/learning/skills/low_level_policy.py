@@ -177,7 +177,7 @@ class LowLevelPolicy:
         steps: int,
         act: Callable[[Tensor, Tensor], Tensor] | None = None,
     ) -> Callable[[Tensor], Tensor]:
-        """Return a function from raw observations (n, O) to actions (n, A) for each control step.
+        """Return a function from raw observations (n, O) to actions (n, A), called once per step.
 
         The function calls `choose` every `steps` control steps, which maps observations to new
         latents (n, Z). `act` maps observations and latents to actions; its default is the method
@@ -197,8 +197,8 @@ class LowLevelPolicy:
     def style_reward(self, amp_obs: Tensor, latents: Tensor | None = None) -> Tensor:
         """Return style rewards (n, 1) of raw AMP observations (n, F).
 
-        A conditional discriminator also receives `latents` (n, Z). If they are None, the encoder
-        infers them.
+        A conditional discriminator also receives `latents` (n, Z). If `latents` is None, the
+        encoder infers the latents from the AMP observations.
         """
         if not self.model.a2c_network.disc_is_conditional:
             return self.discriminator.reward(amp_obs)

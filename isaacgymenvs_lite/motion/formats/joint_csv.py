@@ -38,7 +38,7 @@ _TIME = "time"
 _POSITION = ("root_x", "root_y", "root_z")
 _ROTATION = ("root_qx", "root_qy", "root_qz", "root_qw")
 _OWN = (_TIME, *_POSITION, *_ROTATION)
-# These factors convert units to s, m and rad; files are written with the first unit.
+# Factors that convert units to s, m and rad; files are written with the first unit of each kind.
 _TIME_UNITS = {"s": 1.0, "ms": 1e-3}
 _LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}

@@ -1,9 +1,9 @@
 """Reads pickled dictionaries of clips (`.npy`, `.pkl`) without running code from the file.
 
 A pickle can call any function by its name. This module maps the names that occur in clips to its
-own functions and classes, and refuses all other names. It replaces numpy's classes, because they
-trust the memory layout that a file describes. A joblib file is a pickle, possibly compressed, in
-which each array's description is followed by the array's bytes.
+own functions and classes, and refuses all other names. numpy's classes are replaced as well,
+because they trust the memory layout that a file describes. A joblib file is a pickle, possibly
+compressed, in which each array's description is followed by the array's bytes.
 """
 
 from __future__ import annotations

@@ -146,7 +146,7 @@ def read_joint_clips(
             of BONES-SEED have 120.
         quat_order: order of quaternions in the file. None selects the default of the format, or the
             order that is deduced from the bodies.
-        up_b: (3,) the root's up axis in its own frame. A warning is logged if the root seems to
+        up_b: (3,) the root's up axis in the root's frame. A warning is logged if the root seems to
             lie.
         root_body: name of the robot's root in a file with body names. In other files, the root is
             the first body that is not MuJoCo's world.

@@ -24,7 +24,7 @@ from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.yaml_file import load_yaml
 
 AXES = tuple(f"{sign}{axis}" for sign in "+-" for axis in "xyz")
-# These bodies get the rotation of their joint; rotations of other bodies follow from joint
+# Bodies that get the rotation of their joint; the rotations of other bodies follow from joint
 # positions.
 WITH_ATTITUDE = ("pelvis", "torso", "head", "right_foot", "left_foot")
 
@@ -83,7 +83,7 @@ def shipped_mappings() -> dict[str, Path]:
 
 
 def load_mapping(mapping: str | Path) -> SkeletonMapping:
-    """Read a mapping file, or the shipped mapping of this name, or raise a ConfigError."""
+    """Read a mapping, given its file or a shipped name, or raise a ConfigError."""
     with reading(mapping, "mapping file"):
         path, content = read_mapping_keys(mapping, shipped_mappings(), "up, unit_m and bodies")
         settings = read_section(_MappingSettings, content, where=str(path), complete=True)

@@ -52,12 +52,12 @@ _FRAMES = [(x, z) for x, z in itertools.product(AXES, AXES) if x[1] != z[1]]
 _SHORTEST_LEG_M, _LONGEST_LEG_M, _USUAL_LEG_M = 0.45, 1.4, 0.85
 _UNITS_M = (1.0, 0.01, 0.001, 0.0254, 0.056444, 0.1, 0.3048)  # length units that BVH files have
 _MAX_FRAMES = 1000
-# These constants are least cosines of angles.
+# The constants from `_STANDS` to `_FOOT_UP` are least cosines of angles.
 _STANDS = 0.7  # between the direction from feet to head and the up axis
 _STRAIGHT = 0.8  # between trunk and legs in a rest pose
 _ALIGNED = 0.3  # between an axis of a joint and the axis of its body
 _FOOT_UP = -0.3  # between up axes of ankle and foot; feet tilt in crawls and dances
-# These constants are lengths, in leg lengths.
+# The constants from `_BACKWARD` to `_GROUNDED` are measured in leg lengths.
 _BACKWARD = 0.03  # if knees bend backward farther, left and right are exchanged
 _LOWEST_JOINT = 0.1  # height of the lowest joint above the ground
 _PREFERRED = 0.15  # the mapping's up axis is preferred by this margin
@@ -66,7 +66,7 @@ _GROUNDED = 0.12  # limit for an axis that neither mapping nor rest pose has
 
 @dataclass(frozen=True, eq=False)
 class _Skeleton:
-    """The joints in a mapping in T frames, in the axes and the length unit of the file."""
+    """Poses of the mapped joints in T frames, in the axes and the length unit of the file."""
 
     places: Mapping[str, FloatArray]  # (T, 3) by body, world position of its joint
     turns: Mapping[str, FloatArray]  # (T, 4) xyzw by body, world rotation of its joint
@@ -400,7 +400,7 @@ def _first_named(names: Sequence[str], patterns: Sequence[str], side: str) -> in
 def recognise_robot(model: mujoco.MjModel, start: FloatArray) -> RobotMapping:
     """Return and log the shipped mapping for the bodies of a robot, or a guessed mapping.
 
-    The robot stands in the pose `start` (nq,). Raises the errors of `guess_robot_mapping`.
+    The robot stands in the pose `start` (nq,). Raises ConfigError like `guess_robot_mapping`.
     """
     bodies = {model.body(i).name for i in range(model.nbody)}
     for name in shipped_robot_mappings():

@@ -133,7 +133,7 @@ def retarget_bvh(
 ) -> MotionClip:
     """Retarget the motion of a BVH file to a shipped humanoid, and log the remaining errors.
 
-    Only the motion from `start_s` to `end_s` is used, resampled to `fps`. If `end_s` is None, the
+    The motion from `start_s` to `end_s` is resampled to `fps` and used. If `end_s` is None, the
     motion is used to its end; if `fps` is None, the file's frame rate is kept.
     """
     source = load_bvh_source(path, mapping, start_s, end_s, fps)
@@ -226,7 +226,7 @@ def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
         wanted.append(robot.figure.soles[foot].places(feet, targets.turns[foot]))
     for _ in range(_CORRECTIONS):
         # If a foot has no ankle, or its ankle is at a limit, the foot cannot rotate like the
-        # source. The sole is then at a wrong place even if the foot's origin is at the right one.
+        # source. The sole is then at a wrong place, although the foot's origin is at its goal.
         goals, points, places = dict(problem.goals), robot.soles(qpos), robot.padded(wanted)
         for side, foot in enumerate(FEET):
             body = robot.mapping.bodies[foot].body

@@ -41,9 +41,9 @@ def find_bend(
 ) -> tuple[int, FloatArray, FloatArray] | None:
     """Find the hinge that bends a limb (its knee or elbow); return None if there is none.
 
-    This hinge changes the distance between the bodies `top` and `end` most, while the other joints
-    stay in the pose `start` (nq,). Return the joint's id, angles (rad) over its range, and the
-    distances (m) at these angles.
+    The hinge that changes the distance between the bodies `top` and `end` most is chosen, while the
+    other joints stay in the pose `start` (nq,). Return the joint's id, angles (rad) over its range,
+    and the distances (m) at these angles.
     """
     between = itertools.takewhile(lambda body: body != top, ancestors(model, end)[1:])
     names = [model.body(top).name, model.body(end).name]
@@ -92,9 +92,9 @@ def _pair(
 ) -> tuple[dict[str, int], int] | None:
     """Return the links of the limbs that reach farthest to the left and right, and their parent.
 
-    The parent is the lowest body with joints that moves both limbs, or the root. `parts` are the
-    names of a limb's three links. Return None if no pair of limbs reaches at least `aside_m` from
-    the middle.
+    The parent is the lowest body that has joints and carries both limbs, or the root. `parts` are
+    the names of a limb's three links. Return None if no pair of limbs reaches at least `aside_m`
+    from the middle.
     """
     places, turns = body_poses(model, start[None], [model.body(i).name for i in (1, *ends)])
     back = rotations.quat_conjugate(torch.from_numpy(turns[0, :1])).expand(len(ends), 4)

@@ -41,8 +41,8 @@ WEIGHTS = {
     "shin": (8.0, 0.0),
     "foot": (30.0, 3.0),
 }
-# Weights of the distance to the posture and of the distance to the last frame. They determine what
-# the goals leave open, for example the twist of a straight arm.
+# Weights of the distance to the posture and of the distance to the last frame. The two weights
+# determine what the goals leave open, for example the twist of a straight arm.
 _POSTURE, _STEADINESS = 0.02, 0.2
 # The search starts with knees and elbows bent by this angle, so that the gradient points to the
 # side to which they bend.

@@ -175,9 +175,9 @@ def find_sole(
     """Return centres (K, 3) m relative to the foot and radii (K,) m of the balls of a robot's sole.
 
     The centres are in world axes in the pose `start` (nq,), in which the robot stands with flat
-    feet. They are corners, ends, centres or vertices of the geoms of the foot and its child bodies.
-    Visual geoms are used only if there are no collision geoms. Raises ConfigError for a foot
-    without geoms.
+    feet. The centres are corners, ends, centres or vertices of the geoms of the foot and its child
+    bodies. Visual geoms are used only if there are no collision geoms. Raises ConfigError for a
+    foot without geoms.
     """
     data, body = posed(model, start), model.body(foot).id
     geoms = [i for i in range(model.ngeom) if body in ancestors(model, int(model.geom_bodyid[i]))]

@@ -31,7 +31,7 @@ _BLEND = 0.05  # two height curves are blended over this height, in sole lengths
 _MOST_TWIST_RAD = np.radians(20.0)
 # Shorter contacts and shorter gaps between contacts are noise.
 _NOISE_S = 0.05
-# The weight of a point falls by the factor e for each such height above the lowest point.
+# The weight of a sole's point falls by the factor e for every 5 mm above the lowest point.
 _RESTS_M = 0.005
 
 
@@ -207,8 +207,8 @@ def _bridge(values: FloatArray, known: Flags) -> None:
 
 _log = logging.getLogger(__name__)
 
-# These bodies have the same direction from their parent as in the source, and the figure's
-# distance.
+# The direction of these bodies from their parents comes from the source, and their distance from
+# the figure.
 _LIMBS = ("lower_arm", "hand", "shin")
 # A foot is on the ground while its joint is near its lowest height and slower than this.
 _CONTACT_SPEED = 0.2  # m/s
