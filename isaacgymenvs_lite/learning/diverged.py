@@ -1,10 +1,10 @@
 """Excludes transitions in which the simulation diverged from an update.
 
-A task reports them in `infos["diverged"]` (N,). Next state and reward of a diverged transition are
-meaningless. The episode is treated as truncated before this transition: returns of earlier steps
-are bootstrapped with the value V of the last valid observation. Recurrent networks need whole
-sequences, therefore masks of rl_games remove the transition only from the losses; normalisers still
-count its observation.
+A task reports diverged simulations in `infos["diverged"]` (N,). Next state and reward of a diverged
+transition are meaningless. The episode is treated as truncated before this transition: returns of
+earlier steps are bootstrapped with the value V of the last valid observation. Recurrent networks
+need whole sequences, therefore masks of rl_games remove the transition only from the losses;
+normalisers still count its observation.
 """
 
 from __future__ import annotations

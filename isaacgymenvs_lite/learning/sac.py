@@ -1,4 +1,4 @@
-"""rl_games' soft actor-critic (SAC), with checkpoints that hold its whole state."""
+"""rl_games' soft actor-critic (SAC), with checkpoints that include temperature and best reward."""
 
 from __future__ import annotations
 

@@ -229,7 +229,7 @@ class NetworkExecutor:
     def gradients(
         self, function: LossFunction, rows: dict[str, Tensor], parameters: list[nn.Parameter]
     ) -> tuple[list[Tensor | None], dict[str, Tensor]]:
-        """Differentiate a mean loss over rows; each thread computes both passes of its slices.
+        """Differentiate a mean loss over rows; threads compute both passes for slices of the rows.
 
         The threads synchronise once; `run` synchronises after each network, and leaves the loss to
         one thread. Tensors may have different numbers of rows; each slice gets the same share of

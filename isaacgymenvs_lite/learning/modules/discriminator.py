@@ -324,5 +324,5 @@ class StyleLosses(StyleRewards):
     def _compute_disc_acc(
         self, disc_agent_logit: Tensor, disc_demo_logit: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Return the classification accuracies on the policy's rows and on demonstrations."""
+        """Return the accuracies for AMP observations of the policy and of the clips."""
         return (disc_agent_logit < 0.0).float().mean(), (disc_demo_logit > 0.0).float().mean()

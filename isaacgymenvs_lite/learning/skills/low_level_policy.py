@@ -179,7 +179,7 @@ class LowLevelPolicy:
     ) -> Callable[[Tensor], Tensor]:
         """Return a function from raw observations (n, O) to actions (n, A), called once per step.
 
-        The function calls `choose` every `steps` control steps, which maps observations to new
+        Every `steps` control steps, the function calls `choose`, which maps observations to new
         latents (n, Z). `act` maps observations and latents to actions; its default is the method
         `actions`.
         """

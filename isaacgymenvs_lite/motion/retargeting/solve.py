@@ -225,7 +225,7 @@ class DofLimits:
 
 
 def nearest_vector(quaternion: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the rotation vector (3,) rad of a quaternion (4,) wxyz that is nearest to the limits.
+    """Return the rotation vector (3,) rad of a quaternion wxyz that violates the limits least.
 
     A quaternion has several rotation vectors, because the angles a and a - 360 deg are the same
     rotation. An arm slightly beyond its limit of -180 deg must not be read as 180 deg.

@@ -112,7 +112,7 @@ def _smoothed(share: FloatArray) -> FloatArray:
 
 
 def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
-    """Return the height (T,) m by which the root must rise, so that contacts are on the ground.
+    """Return the height (T,) m by which the root must rise, so that feet are on the ground.
 
     In each frame, the lowest point in contact comes to z = 0. The height changes smoothly between
     contacts, and no point stays below the ground. `points` (T, ..., 3) m are the points of all
