@@ -1,7 +1,7 @@
 """Reads files of `torch.save` without running code from them.
 
-torch's restricted reader refuses numpy scalars, and rl_games stores its best reward as one. This
-module's placeholders read these scalars, because numpy's own functions would trust a file.
+rl_games stores its best reward as a numpy scalar, which torch's restricted reader refuses. This
+module reads numpy scalars with its own placeholders, because numpy's functions trust a file.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ class ArchiveError(ValueError):
 def read_archive(path: Path) -> Any:
     """Return the content of a file of `torch.save`, on the CPU.
 
-    It consists of dictionaries, lists, tuples, str, int, float, bool, None and dense tensors with
-    their own memory. Scalars of numpy become Python numbers.
+    The content may have dictionaries, lists, tuples, str, int, float, bool, None and dense tensors
+    that do not share memory. numpy scalars become Python scalars.
 
     Raises:
-        ArchiveError: the file is damaged, or refers to anything else; no code was run.
+        ArchiveError: the file is damaged, or holds objects of other types. No code was run.
         OSError: the file cannot be opened.
     """
     with path.open("rb") as file, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Files of older protocols of pickle warn.
+        warnings.simplefilter("ignore")  # Older pickle protocols cause warnings.
         try:
             with torch.serialization.safe_globals(_NUMPY_NAMES):
                 return _plain(torch.load(file, map_location="cpu", weights_only=True))
         except ArchiveError:
             raise
-        except Exception as error:  # torch's reader may raise anything for a damaged file.
+        except Exception as error:  # For a damaged file, torch's reader may raise any exception.
             forbidden = re.search(r"GLOBAL ([\w.]+)", str(error))
             if forbidden is None:
                 raise ArchiveError("damaged or no checkpoint, nothing was run") from error
@@ -69,7 +69,7 @@ def _plain(value: Any) -> Any:
 
 
 class _NumpyDtype:
-    """Replaces `numpy.dtype`, whose state a file must not set."""
+    """Replaces `numpy.dtype`, because a file must not set the state of numpy's class."""
 
     def __init__(self, name: str, *_flags: Any) -> None:
         self.dtype = np.dtype(name)

@@ -1,7 +1,8 @@
-"""Writes checkpoints atomically, loads them without running code, and finds them by name.
+"""Writes checkpoints atomically, loads them without running code from them, and finds them by name.
 
-rl_games writes a checkpoint in place, and an interruption loses the old file. It loads with a full
-unpickler, which runs a stranger's code. This project's agents and players use this module instead.
+rl_games overwrites a checkpoint in place, and an interruption then destroys the old file. rl_games
+also loads checkpoints with a full unpickler, which runs code from them. Agents and players of this
+project use this module instead.
 """
 
 from __future__ import annotations
@@ -31,15 +32,16 @@ from isaacgymenvs_lite.utils.files import atomic_write
 log = logging.getLogger(__name__)
 
 LLC_KEY = "llc"
-"""Key of a checkpoint's entry that names the low-level controller of its training."""
+"""Key of a checkpoint; its value identifies the low-level controller of the training."""
 
 _LLC_ENTRIES = ("checkpoint", "fingerprint")
 _COMPILED_PREFIX = "_orig_mod."
-# rl_games 1.1.4 (ASE) stored normalisers outside of the model: file key -> prefix in the model.
+# rl_games 1.1.4 (ASE) stored normalisers outside of the model. Keys are their names in the file,
+# and values are their prefixes in the model.
 _OLD_NORMALIZERS = {"running_mean_std": "running_mean_std", "reward_mean_std": "value_mean_std"}
-# rl_games' SAC agent has a key for each network.
+# Checkpoints of rl_games' SAC agent have a key for each network.
 _SAC_KEYS = {"actor", "critic"}
-# Entries that hold tensors by name.
+# Entries that are dictionaries of tensors.
 _STATE_DICTS = (
     *("model", "actor", "critic", "critic_target", "assymetric_vf_nets"),
     *(*_OLD_NORMALIZERS, "amp_input_mean_std"),
@@ -51,11 +53,12 @@ _MAX_SHOWN = 80
 
 
 def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
-    """Write `state` to `<filename>.pth`; return the file, or None if none could be written.
+    """Write `state` to `<filename>.pth`; return the written file, or None if writing failed.
 
-    An older file stays whole until the new one is complete. A removed run folder is made again. If
-    it cannot be written (read-only, full), the failure is logged, and the checkpoint is written to
-    a private folder below the system's temporary folder.
+    An older file stays intact until the new file is complete. A deleted run folder is created
+    again. If the run folder cannot be written (read-only or full), the failure is logged, and the
+    checkpoint is written to a private folder below the system's temporary folder. If neither folder
+    can be written, None is returned.
     """
     path = Path(f"{filename}.pth")
     state = plain_numbers(state)
@@ -87,22 +90,22 @@ def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
 
 
 def write_atomically(path: Path, state: dict[str, Any]) -> None:
-    """Write a checkpoint in one step; an error leaves no partial file."""
+    """Write a checkpoint in one step, so that an error does not leave a partial file."""
     with atomic_write(path) as partial, partial.open("wb") as file:
         try:
             torch.save(state, file)
         except RuntimeError as error:
-            # torch's zip writer raises RuntimeError for every failure. A second Ctrl-C during a
-            # save must end the run.
+            # torch's zip writer raises RuntimeError for every failure. The original exception is
+            # raised instead, because Ctrl-C during a save must end the run.
             if isinstance(error.__context__, (OSError, KeyboardInterrupt)):
                 raise error.__context__ from None
             raise OSError("the disk is full or broken") from error
 
 
 class Retention:
-    """Removes checkpoints, but keeps those of the last `keep` epochs; 0 keeps all.
+    """Removes all checkpoints except those of the last `keep` epochs.
 
-    It removes only files that were passed to `written`.
+    If `keep` is 0, no checkpoint is removed. Only files that were passed to `written` are removed.
     """
 
     def __init__(self, keep: int) -> None:
@@ -110,7 +113,7 @@ class Retention:
         self._files: dict[int, set[Path]] = {}
 
     def written(self, file: Path, epoch: int) -> None:
-        """Add a checkpoint, and remove those that are too old."""
+        """Add a checkpoint, and remove checkpoints that are too old."""
         if self._keep == 0:
             return
         self._files.setdefault(epoch, set()).add(file)
@@ -121,7 +124,7 @@ class Retention:
 
 
 def plain_numbers(value: Any) -> Any:
-    """Replace numpy scalars by Python numbers, and numpy arrays by tensors, for the safe loader."""
+    """Replace numpy scalars by Python scalars and numpy arrays by tensors, for `archive`."""
     if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
         return value.item()
     if isinstance(value, np.ndarray):
@@ -139,11 +142,12 @@ def plain_numbers(value: Any) -> Any:
 def load_checkpoint(filename: str | Path) -> dict[str, Any]:
     """Load a checkpoint on the CPU without running code from it; see `archive`.
 
-    Accepts files of rl_games 1.6.5, IsaacGymEnvs and ASE, and strips the parameter prefix of
-    compiled models. `learning.restoring` checks whether the checkpoint fits the networks.
+    Files of rl_games 1.6.5, IsaacGymEnvs and ASE are accepted. The prefix that `torch.compile` adds
+    to parameter names is removed. `learning.restoring` checks whether the checkpoint fits the
+    networks.
 
     Raises:
-        CheckpointError: the file is missing or damaged, or is no checkpoint.
+        CheckpointError: the file is missing, damaged or no checkpoint.
     """
     path = Path(filename)
     if not path.is_file():
@@ -181,7 +185,7 @@ def load_checkpoint(filename: str | Path) -> dict[str, Any]:
 
 
 def _wrong_entries(state: dict[str, Any]) -> Iterator[str]:
-    """Yield errors in entries whose type does not depend on the agent."""
+    """Yield error messages for entries that have the same type in all agents."""
     for key in _STATE_DICTS:
         entries = state.get(key, {})
         if not isinstance(entries, dict):
@@ -209,7 +213,7 @@ def _wrong_entries(state: dict[str, Any]) -> Iterator[str]:
 
 
 def short(value: Any) -> str:
-    """Return a value of a stranger's file as one short line."""
+    """Return a value from an untrusted file as one short line of text."""
     if isinstance(value, (dict, list, tuple, torch.Tensor)):
         return f"a {type(value).__name__}"
     text = " ".join(str(value).split())
@@ -219,11 +223,11 @@ def short(value: Any) -> str:
 def fit_optimizer_state(
     state: dict[str, Any], optimizer: torch.optim.Optimizer, model: nn.Module
 ) -> dict[str, Any]:
-    """Return an optimiser's `state_dict` in the groups of `optimizer`.
+    """Return an optimiser's `state_dict`, converted to the parameter groups of `optimizer`.
 
-    A checkpoint of IsaacGymEnvs has one group, in the order of the model's parameters. An agent
-    with `disc_learning_rate` has two groups. torch counts the parameters group by group; the states
-    are therefore renumbered. Another number of groups raises CheckpointError.
+    A checkpoint of IsaacGymEnvs has one group in the order of the model's parameters, and an agent
+    with `disc_learning_rate` has two groups. The states get new indices, because torch counts
+    parameters group by group. Raises CheckpointError for other numbers of groups.
     """
     groups = state["param_groups"]
     if len(groups) == len(optimizer.param_groups):
@@ -235,7 +239,7 @@ def fit_optimizer_state(
             " training"
         )
     place = {id(parameter): i for i, parameter in enumerate(model.parameters())}
-    # Index in the optimiser -> index in the single group.
+    # Item i is the index that parameter i of the optimiser has in the single group.
     order = [place[id(p)] for group in optimizer.param_groups for p in group["params"]]
     own = optimizer.state_dict()["param_groups"]
     return {
@@ -253,7 +257,7 @@ def fit_optimizer_state(
 
 
 def checkpoint_of_tree(tree: Mapping[str, Any], checkpoint: str, train_dir: str | Path) -> str:
-    """Return the path of `checkpoint` for a resolved tree; see `resolve_checkpoint`."""
+    """Return the path that `checkpoint` means in a configuration; see `resolve_checkpoint`."""
     network = select(tree, "train.params.network.name")
     return resolve_checkpoint(checkpoint, train_dir, tree["task"]["name"], str(network or ""))
 
@@ -263,9 +267,10 @@ def resolve_checkpoint(
 ) -> str:
     """Return the path that the key `checkpoint` means.
 
-    `checkpoint` is '' (none), a path, a shipped policy's name, or `last`: the newest checkpoint in
-    `train_dir`, including rescued ones. `last` searches runs with this task and network ('' is
-    any). The network tells the levels of a hierarchy apart, which have one task.
+    `checkpoint` is '' (no checkpoint), a path, a shipped policy's name, or `last`. `last` selects
+    the newest checkpoint in `train_dir`, including checkpoints in the temporary folder, of runs
+    with the given task and network; '' accepts all. The network distinguishes high-level and
+    low-level policies of the same task.
 
     Raises:
         CheckpointError: there is no such file.
@@ -314,9 +319,10 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
 def newest_run(
     train_dir: Path, wanted: Mapping[str, str], patterns: Sequence[str]
 ) -> RunFolder | None:
-    """Return the run with the newest file of some patterns, including rescued files, or None.
+    """Return the run folder with the newest file that matches a pattern, or None.
 
-    `wanted` are values of the run's config.yaml by their paths.
+    Files in the temporary folder count too. `wanted` are values that config.yaml of the run must
+    have, by their paths.
     """
     runs = {
         file: run
@@ -330,9 +336,9 @@ def newest_run(
 
 
 def settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
-    """Return settings of a run by their paths; None if the folder is no run of this project."""
+    """Return settings of a run by their paths, or None if the folder is no run of this project."""
     try:
         cfg = read_yaml(run / "config.yaml")
         return {key: OmegaConf.select(cfg, key) for key in keys}
     except (ConfigError, OmegaConfBaseException):
-        return None  # The run folder is damaged, or another project's.
+        return None  # Another project's folder, or a damaged one.

@@ -1,6 +1,7 @@
-"""Finds the low-level controller of a high level's training, by an entry of its checkpoint.
+"""Finds the low-level controller that a high-level policy was trained with.
 
-A latent has a meaning only for the low-level controller of its training.
+A high-level policy's latents have a meaning only for this controller, which an entry of the
+high-level checkpoint identifies.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ SHIPPED_LLC = "locomotion_skills"
 
 
 def make_reference(llc_checkpoint: str, weights: Mapping[str, Tensor]) -> dict[str, str]:
-    """Return {"checkpoint", "fingerprint"}: an absolute path or a shipped name, and a hash."""
+    """Return {"checkpoint": absolute path or shipped name, "fingerprint": hash of the weights}."""
     is_shipped = llc_checkpoint in shipped_policies()
     path = llc_checkpoint if is_shipped else str(user_path(llc_checkpoint).absolute())
     return {"checkpoint": path, "fingerprint": _fingerprint(weights)}
@@ -39,7 +40,7 @@ def _fingerprint(weights: Mapping[str, Tensor]) -> str:
 
 
 def shipped_reference(reference: Mapping[str, str]) -> dict[str, str]:
-    """Return `reference` with the name of the shipped policy that has these weights."""
+    """Return `reference` with the name of the shipped policy that has the same weights."""
     for name, path in shipped_policies().items():
         if _fingerprint(checkpoints.load_checkpoint(path)["model"]) == reference["fingerprint"]:
             return {**reference, "checkpoint": name}
@@ -50,11 +51,11 @@ def shipped_reference(reference: Mapping[str, str]) -> dict[str, str]:
 
 
 def llc_checkpoint_for(llc_checkpoint: str | None, params: Mapping[str, Any]) -> str:
-    """Return the low-level controller of a training or a play: a path or a shipped name.
+    """Return the path or shipped name of the low-level controller for a training or a play.
 
-    The key `llc_checkpoint` decides. If it is None or '', the loaded checkpoint's entry decides.
-    Without an entry None means the shipped low level, and '' stays ''. `params` is the section of
-    the train file.
+    The key `llc_checkpoint` is used if it is set. If `llc_checkpoint` is None or '', the entry of
+    the loaded checkpoint is used. If the checkpoint has no entry, None selects the shipped
+    low-level controller, and '' is returned unchanged. `params` is the section of the train file.
     """
     if llc_checkpoint:
         return llc_checkpoint
@@ -68,7 +69,7 @@ def llc_checkpoint_for(llc_checkpoint: str | None, params: Mapping[str, Any]) ->
 def warn_of_another_llc(
     state: Mapping[str, Any], reference: Mapping[str, str], checkpoint: str
 ) -> None:
-    """Warn if a high level's checkpoint was trained over another low level than the current one."""
+    """Warn if a high-level checkpoint was trained with another low-level controller."""
     before = state.get(LLC_KEY)
     if before and before["fingerprint"] != reference["fingerprint"]:
         log.warning(

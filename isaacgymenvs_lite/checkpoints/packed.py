@@ -1,8 +1,9 @@
-"""Packs policies: checkpoints without the state of a training, but with the settings to play them.
+"""Packs policies into small checkpoints, which contain the settings that are needed to play them.
 
-A full checkpoint needs the config.yaml of its run folder, and consists mostly of the optimiser's
-state. A packed policy is one small file with the model, the normaliser of AMP observations, and the
-`PolicyInfo` under the key `policy`. It loads like any checkpoint.
+A full checkpoint can be played only with config.yaml of its run folder, and most of it is the
+optimiser's state. A packed policy is one small file with the model, the normaliser of AMP
+observations, and the `PolicyInfo` under the key `policy`. A packed policy is loaded like any
+checkpoint.
 """
 
 from __future__ import annotations
@@ -39,12 +40,13 @@ from isaacgymenvs_lite.schema import leaves, read_section, select, setting
 log = logging.getLogger(__name__)
 
 POLICY_KEY = "policy"
-"""Entry of a packed policy for its `PolicyInfo`; no other checkpoint has it."""
-# Entries of a checkpoint that a player reads.
+"""Key under which a packed policy stores its `PolicyInfo`; other checkpoints do not have this
+key."""
+# These entries of a checkpoint are used by players.
 _PLAYED = ("model", "amp_input_mean_std", "env_state")
 _CONFIG = "train.params.config"
 _CLIP = "task.env.motion_file"
-# A play needs the values of these sections and keys from the training.
+# To play a policy, these sections and keys must have the values of the training.
 _NEEDED = (
     *("task.env", "task.sim"),
     *(f"train.params.{section}" for section in ("algo", "model", "network")),
@@ -52,31 +54,32 @@ _NEEDED = (
     *(f"{_CONFIG}.{key}" for key in ("amp_obs_steps", "disc_reward", "disc_reward_scale")),
     *(f"{_CONFIG}.{key}" for key in ("enc_reward_scale", "clip_latents")),
     *(f"{_CONFIG}.latent_{what}" for what in ("dim", "steps_min", "steps_max")),
-    # A shipped low level holds its settings, so llc_config is not needed.
+    # A shipped low-level policy contains its settings, and `llc_config` is therefore not needed.
     f"{_CONFIG}.llc_steps",
 )
-# A play does not need these keys of the sections above.
+# The following keys are in these sections, but are not needed to play a policy.
 _NOT_NEEDED = (
     *("task.env.numEnvs", "task.env.episodeLength", "task.env.envSpacing"),
     *("task.env.cameraFollow", "task.env.enableDebugVis"),
     *("task.sim.use_gpu_pipeline", "task.sim.physx"),
 )
-# These settings have no meaning on another machine.
+# These settings are specific to the machine of the training.
 _NOT_RECORDED = ("name", "full_experiment_name", "train_dir", "print_stats", "multi_gpu")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyInfo:
-    """Task, settings and origin of a packed policy, which are stored in it.
+    """Task, settings and origin of a packed policy; the policy's file contains them.
 
     Attributes:
-        task: name of its task.
-        clip: reference motion, as in `task.env.motion_file`; '' for tasks without motions.
-        units: hidden layers of its networks, {"mlp": [...], "disc": [...]}.
-        frames: environment steps of its training.
-        epochs: epochs of its training.
-        settings: all settings that a play needs, by their paths in the configuration tree.
-        training: `train.params.config` of the training, for the record.
+        task: name of the policy's task.
+        clip: value of `task.env.motion_file` (the reference motion), or '' for a task without it.
+        units: sizes of the networks' hidden layers, {"mlp": [...], "disc": [...]}.
+        frames: number of environment steps in the training.
+        epochs: number of epochs in the training.
+        settings: all settings that are needed to play the policy, by their paths in the
+            configuration.
+        training: section `train.params.config` of the training, as information for users.
     """
 
     task: str = setting()
@@ -94,7 +97,7 @@ class PolicyInfo:
         return f"{self.task}{of_clip}, {self.frames / 1e6:.1f} M frames, {layers}"
 
     def missing(self) -> str:
-        """Return instructions for installing its clip; '' if nothing is missing."""
+        """Return instructions for installing the policy's clip, or '' if it is installed."""
         if is_package_name(self.clip):
             try:
                 find_in_package(self.clip)
@@ -124,9 +127,9 @@ def shipped_policy_infos() -> dict[str, PolicyInfo]:
 
 
 def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the section `params` of a train file with a packed policy's own settings.
+    """Return the section `params` of a train file, with the settings of a packed policy.
 
-    For the `state` of any other checkpoint `params` is returned unchanged.
+    If `state` does not come from a packed policy, `params` is returned unchanged.
     """
     params = copy.deepcopy(dict(params))
     if POLICY_KEY not in state:
@@ -150,19 +153,19 @@ def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) ->
 def pack_policy(
     checkpoint: str | Path, name: str, clip: str = "", folder: str | Path | None = None
 ) -> Path:
-    """Write the packed policy of a full checkpoint, and return its path.
+    """Pack the policy of a full checkpoint into a new file, and return the file's path.
 
     Args:
-        checkpoint: file in the folder nn/ of a run folder.
-        name: name of the policy, which may replace an older one.
-        clip: the shipped clip that the policy imitates; '' takes the run's.
-        folder: where to write; None is assets/policies.
+        checkpoint: full checkpoint in the folder nn/ of a run folder.
+        name: name of the packed policy. An existing policy with this name is replaced.
+        clip: the shipped clip that the policy imitates; '' selects the clip in the run's settings.
+        folder: folder of the new file; None selects assets/policies.
 
     Raises:
-        CheckpointError: the checkpoint cannot be used, or the policy needs a low-level
-            controller that does not ship.
-        ConfigError: there is no config.yaml, the name cannot be used, the clip does not ship, or
-            the folder cannot be written.
+        CheckpointError: the checkpoint cannot be used, or the policy needs a low-level controller
+            that does not ship with the project.
+        ConfigError: config.yaml is missing, the name cannot be used, the clip does not ship with
+            the project, or the folder cannot be written.
     """
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name) or name == "last":
         raise ConfigError(
@@ -220,7 +223,7 @@ def pack_policy(
 
 
 def _shipped_clip(clip: str) -> str:
-    """Return the name of a shipped clip; refuse other clips."""
+    """Return the name of a shipped clip, or raise a ConfigError for other clips."""
     file = Path(clip)
     if is_package_name(clip):
         return clip

@@ -1,4 +1,4 @@
-"""Completes command lines that name a shipped policy by the policy's settings."""
+"""Adds the settings of a shipped policy to a command line that contains the policy's name."""
 
 from __future__ import annotations
 
@@ -20,30 +20,33 @@ log = logging.getLogger(__name__)
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_.]*")
 _NO_TEXT = ("true", "false", "null", "nan", "inf")
 _NETWORK = "train.params.network"
-# Arguments that change the values of files; with a comma they are a sweep's.
+# The values of other settings depend on these arguments. An argument with a comma belongs to a
+# sweep.
 _FILE_KEYS = ("task", "train", "rl_device")
 
 
 def playing_overrides(name: str) -> list[str]:
-    """Return the overrides that a shipped policy needs to act, for `config.compose`.
+    """Return the overrides for `config.compose` that are needed to play a shipped policy.
 
-    They restore settings of its training, but no `checkpoint`, devices or sizes.
+    The overrides restore the settings of the policy's training, except `checkpoint`, devices and
+    sizes.
     """
-    # This imports torch, which other command lines do without.
+    # The import is local, because it loads torch, which takes long and which most command lines do
+    # not need.
     from isaacgymenvs_lite.checkpoints.packed import read_policy_info
 
     info = read_policy_info(shipped_policies()[name])
     log.info("%s: %s", name, info)
     settings = [f"++{path}={as_override(value)}" for path, value in info.settings.items()]
-    # The policy has a complete network section; further keys of today's train file must not join
-    # it.
+    # The packed policy's network section is complete. The section of the current train file is
+    # removed, because its keys must not be added.
     return [f"task={info.task}", f"~{_NETWORK}", *settings]
 
 
 def complete_arguments(arguments: Sequence[str]) -> list[str]:
-    """Return a command line with the settings of the shipped policy that it plays or trains on.
+    """Return a command line, completed by the settings of the shipped policy that it names.
 
-    They are inserted before the user's own overrides, which have precedence.
+    The settings are inserted before the user's overrides, which therefore have precedence.
     """
     arguments = list(arguments)
     typed = _settings(arguments)
@@ -53,23 +56,25 @@ def complete_arguments(arguments: Sequence[str]) -> list[str]:
     settings = playing_overrides(name)
     if "task" in typed:
         settings = settings[1:]
-    # Hydra's parser expects all overrides in one piece.
+    # Overrides must be adjacent for Hydra's parser.
     place = next(i for i, word in enumerate(arguments) if "=" in word)
     return [*arguments[:place], *settings, *arguments[place:]]
 
 
 def inherited_settings(arguments: Sequence[str]) -> list[str]:
-    """Return settings of the shipped policy with which a run begins, for later command lines.
+    """Return the settings that a run takes from the shipped policy with which it begins.
 
-    A run is played by its task's and train files and the user's overrides. This function returns
-    the policy's settings that differ from these files, as overrides. If the files come from a
-    user's own folder, it returns all of the policy's settings.
+    A later play of the run needs them, because it reads only the task file, the train file and the
+    user's overrides. The returned overrides are those settings of the policy that differ from the
+    task file and the train file. If the files are in a user's folder, the result holds all settings
+    of the policy.
     """
     typed = _settings(arguments)
     name = typed.get("checkpoint", "")
     if name not in shipped_policies():
         return []
-    # This imports torch, which other command lines do without.
+    # The import is local, because it loads torch, which takes long and which most command lines do
+    # not need.
     from isaacgymenvs_lite.checkpoints.packed import read_policy_info
 
     info = read_policy_info(shipped_policies()[name])
@@ -77,7 +82,7 @@ def inherited_settings(arguments: Sequence[str]) -> list[str]:
     chosen = {"task": info.task, **typed}
     try:
         tree = compose([f"{key}={value}" for key, value in chosen.items()])
-    except ConfigError:  # The files are in a user's folder, or missing, which the training reports.
+    except ConfigError:  # The files are in a user's folder, or are missing.
         return playing_overrides(name)[1:]
     files = OmegaConf.to_container(tree, resolve=True)
     settings, in_network = info.settings, f"{_NETWORK}."
@@ -91,12 +96,12 @@ def inherited_settings(arguments: Sequence[str]) -> list[str]:
 
 
 def _settings(arguments: Sequence[str]) -> dict[str, str]:
-    """Return the arguments key=value of a command line."""
+    """Return the arguments `key=value` of a command line as a dictionary."""
     return dict(word.split("=", 1) for word in arguments if "=" in word)
 
 
 def as_override(value: Any) -> str:
-    """Return a value in Hydra's grammar; text other than a plain name is quoted."""
+    """Return a value as text in Hydra's grammar; strings that are no plain names are quoted."""
     if value is None:
         return "null"
     if isinstance(value, str):

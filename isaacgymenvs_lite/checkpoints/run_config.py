@@ -1,4 +1,4 @@
-"""Reads the configuration of a checkpoint's training: config.yaml in its run folder."""
+"""Reads config.yaml in a run folder, which is the configuration of a checkpoint's training."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from isaacgymenvs_lite.schema import keys_of, read_keys, select
 log = logging.getLogger(__name__)
 
 SECTIONS = ("task.env", "train.params.network", "train.params.config")
-"""Sections that a run's configuration must have."""
+"""Sections that the configuration of a run must have."""
 
-# The only keys that resume= takes from a run's config.yaml, which a stranger may have written. They
-# do not open viewers, make videos or upload to W&B.
+# `resume=` reads only these keys from a run's config.yaml, which may come from somebody else. Keys
+# that open a viewer, make a video or upload to W&B are not among them.
 _OF_RUN = frozenset(
     (
         *("task", "train", "pbt", "task_name", "task_checkout", "experiment"),
@@ -39,7 +39,7 @@ _OF_RUN = frozenset(
 )
 _SWITCHES = ("wandb_activate", "viewer", "capture_video", "multi_gpu")
 _RL_DEVICES = ("cpu", "cuda:0")
-# Section of the network -> pattern of its hidden layers' names in the model.
+# Patterns of the hidden layers' parameter names in a model, by the section of the network.
 _LAYERS = {
     "mlp": r"actor_mlp(?:\._dense_layers)?",
     "style": r"actor_mlp\._style_mlp",
@@ -48,20 +48,20 @@ _LAYERS = {
 
 
 def run_config_file(checkpoint: Path) -> Path:
-    """Return the path of a checkpoint's configuration in its run folder."""
+    """Return the path of config.yaml in the run folder of a checkpoint."""
     return checkpoint.absolute().parent.parent / "config.yaml"
 
 
 def read_run_config(
     file: Path, model: Mapping[str, Any], *, to_play: bool = False
 ) -> dict[str, Any]:
-    """Return a run's tree, resolved for the kind of device of its training.
+    """Return a run's configuration tree, resolved for the device type (CPU or GPU) of its training.
 
-    The default networks depend on the device, and this machine may have another one. The kind of
-    device is inferred from the model's layers; if none matches, it is the CPU.
+    Default networks depend on the device type, and this machine may have another one. The device
+    type is inferred from the model's layers; the CPU is assumed if no type matches.
 
-    `model` holds parameters by name, or nothing. `to_play` resolves values for a play
-    (`test=True`).
+    `model` holds parameters by name, or is empty. If `to_play` is True, values are resolved for a
+    play (`test=True`).
     """
     register_resolvers()
     stored = read_yaml(file)
@@ -80,10 +80,11 @@ def read_run_config(
 
 
 def resumed_tree(words: Sequence[str]) -> DictConfig:
-    """Return the tree of a resumed run: its own settings, changed by the user's arguments.
+    """Return the configuration tree of a resumed run, changed by the user's arguments.
 
-    `words` are `resume=last`, `resume=FOLDER` or `resume=FILE`, and settings that change. `task=`
-    and `train=` choose the runs that `last` searches. The tree's `resume` is a file.
+    The arguments `words` contain `resume=last`, `resume=FOLDER` or `resume=FILE`, and settings that
+    change. `task=` and `train=` select the runs that `last` searches. In the returned tree,
+    `resume` is a file.
     """
     given = {word.partition("=")[0].lstrip("+"): word for word in words}
     for word in words:
@@ -98,13 +99,13 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
         wanted = {path: str(OmegaConf.select(composed, path)) for path in paths}
     file = resume_file(values["resume"], train_dir_of(words), wanted)
     stored = read_yaml(run_of_file(file) / "config.yaml")
-    # All other keys get their defaults.
+    # Keys that are not stored get their defaults.
     defaults = vars(LaunchSettings(task_name=""))
     left = [key for key in _SWITCHES if stored.get(key) not in (None, defaults[key])]
     if left := [key for key in left if key not in values]:
         log.info("not taken over from the run, type again what you want: %s", ", ".join(left))
     for key in set(stored) - keys_of(LaunchSettings) - {"task", "train", "pbt"}:
-        del stored[key]  # An earlier version wrote this key.
+        del stored[key]  # Only an earlier version of the project wrote this key.
     for key in defaults.keys() - _OF_RUN:
         stored[key] = defaults[key]
     settings = [
@@ -117,9 +118,11 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
             f"{error}; the arguments change settings of the run {run_of_file(file)}"
         ) from error
     with open_dict(cfg):
-        # A restarted policy of a population starts from its checkpoint instead.
+        # A policy that population-based training restarts begins from its checkpoint and not from
+        # `resume`.
         cfg.resume = "" if "pbt_restart" in given else str(file)
-        # A stranger's file must not choose the workspace's folder.
+        # The run folder is not read from config.yaml, because somebody else may have written the
+        # file.
         OmegaConf.update(cfg, TRAIN_DIR, str(train_dir_of(words)), force_add=True)
     return cfg
 
@@ -138,7 +141,7 @@ def _resolved(stored: DictConfig, rl_device: str, file: Path) -> dict[str, Any]:
 
 
 def units_of_config(tree: dict[str, Any]) -> dict[str, list[int]]:
-    """Return the hidden layers of a tree's networks, {"mlp": [...], "disc": [...]}."""
+    """Return the sizes of hidden layers in a configuration, {"mlp": [...], "disc": [...]}."""
     network = select(tree, "train.params.network")
     sections = {name: network[name] for name in _LAYERS if network.get(name) is not None}
     for name, section in sections.items():
@@ -149,7 +152,7 @@ def units_of_config(tree: dict[str, Any]) -> dict[str, list[int]]:
 
 
 def units_of_model(model: Mapping[str, Any], names: Iterable[str]) -> dict[str, list[int]]:
-    """Return the hidden layers of the networks `names`, from the shapes of a model's parameters."""
+    """Return the sizes of the hidden layers of networks `names`, given a model's parameters."""
     units: dict[str, dict[int, int]] = {name: {} for name in names}
     for name, layers in units.items():
         for key, weight in model.items():

@@ -1,12 +1,13 @@
-"""The files for exact resumes of a training: `<run>/resume/<epoch>.pth` and its buffers.
+"""The files `<run>/resume/<epoch>.pth`, from which a training is resumed exactly.
 
-A training state is a checkpoint with one more entry, `training_state`: the state of the agent and
-its task. A second file holds the replay buffers, which can be large. Each file is written in one
-step, and the former state is removed after both; a crash at any time leaves a state.
+A training state is a checkpoint with the additional entry `training_state`, which holds the state
+of the agent and its task. A second file holds the replay buffers, which can be large. Each file is
+written in one step, and the former state is removed only when both files exist. A complete training
+state therefore survives a crash at any time.
 
-Each process writes its own files: the main process `<epoch>.pth` with the networks, the others
-`<epoch>_rank<rank>.pth`. All files of a state share a random token, which shows that they belong
-together.
+Each process writes its own files: the main process writes `<epoch>.pth` with the networks, and
+other processes write `<epoch>_rank<rank>.pth`. All files of a training state contain the same
+random token, which shows that they belong together.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ from isaacgymenvs_lite.run.folder import RunFolder, newest, run_of_checkpoint
 log = logging.getLogger(__name__)
 
 KEY = "training_state"
-"""Key of a checkpoint for the state of its training."""
+"""Key of a training state's additional entry."""
 
 FOLDER = "resume"
-"""Name of the folder of training states in a run folder."""
+"""Name of the folder in a run folder that contains the training states."""
 
 _VERSION = 2
 _STATE = re.compile(r"\d+\.pth")
@@ -46,14 +47,14 @@ _FILE_OF_STATE = re.compile(r"(\d+)(_rank\d+)?(_buffers)?\.pth")
 
 @dataclass(frozen=True)
 class TrainingState:
-    """The content of a file to resume from.
+    """The content of a file from which a training is resumed.
 
     Attributes:
         checkpoint: networks, optimisers and counts.
-        memory: state of the agent and the task; None in a plain checkpoint.
-        buffers: rows of replay buffers by name; None without their file.
-        num_processes: number of processes that wrote the state. If it differs from the current
-            number, `memory` is the main process'.
+        memory: state of the agent and the task, or None if the file is a checkpoint.
+        buffers: rows of replay buffers by name, or None if there is no file of replay buffers.
+        num_processes: number of processes that wrote the training state. If the current number of
+            processes differs, `memory` comes from the main process.
     """
 
     checkpoint: dict[str, Any]
@@ -63,16 +64,17 @@ class TrainingState:
 
 
 def new_token() -> str:
-    """Return the token that all files of a state share."""
+    """Return a random token, which all files of a training state contain."""
     return secrets.token_hex(8)
 
 
 def write_training_state(
     run: Path, state: TrainingState, epoch: int, token: str, rank: int = 0
 ) -> list[Path]:
-    """Write this process' part of a state into a run folder; return its files.
+    """Write the files of this process for a training state into a run folder; return them.
 
-    The former state stays. `token` is the main process' `new_token`.
+    The former training state is not removed. `token` is the result of `new_token` in the main
+    process.
     """
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
@@ -93,9 +95,10 @@ def write_training_state(
 
 
 def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:
-    """Write the checkpoint from which another process continues a run; return its path.
+    """Write a checkpoint from which another process can continue a run; return its path.
 
-    The run's training states are removed, because `resume=` would prefer their older networks.
+    The training states of the run are removed: `resume=` prefers training states, and their
+    networks are older.
     """
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
@@ -106,7 +109,7 @@ def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:
 
 
 def remove_other_states(run: Path, epoch: int) -> None:
-    """Remove the files of a run's states, except for the complete state of `epoch`."""
+    """Remove the files of all training states of a run, except the complete one of `epoch`."""
     for file in (run / FOLDER).iterdir():
         found = _FILE_OF_STATE.fullmatch(file.name)
         if found and int(found[1]) != epoch:
@@ -115,16 +118,16 @@ def remove_other_states(run: Path, epoch: int) -> None:
 
 
 def _files_of(path: Path, rank: int) -> tuple[Path, Path]:
-    """Return a process' files of state and buffers, given the main process' state."""
+    """Return the two files of a process, given the main process' file of the training state."""
     stem = path.stem if rank == 0 else f"{path.stem}_rank{rank}"
     return path.with_name(f"{stem}.pth"), path.with_name(f"{stem}_buffers.pth")
 
 
 def read_training_state(path: Path, rank: int = 0, num_processes: int = 1) -> TrainingState:
-    """Return the content of a file: a training state, or a plain checkpoint.
+    """Return the content of a training state or a checkpoint.
 
-    `path` is the main process' file; a process of another `rank` reads its own file in this folder.
-    Raises CheckpointError if a file is missing or damaged.
+    `path` is the file of the main process; a process with another `rank` reads its own file in the
+    same folder. Raises CheckpointError if a file is missing or damaged.
     """
     checkpoint = load_checkpoint(path)
     entry = checkpoint.pop(KEY, None)
@@ -162,14 +165,15 @@ def _read_archive(file: Path, hint: str) -> dict[str, Any]:
         return dict(read_archive(file))
     except OSError as error:
         raise CheckpointError(f"resume={file}: {error.strerror}; {hint}") from error
-    except Exception as error:  # The reader may raise anything for a damaged file.
+    except Exception as error:  # For a damaged file, the reader may raise any exception.
         raise CheckpointError(f"resume={file}: damaged ({one_line(error)}); {hint}") from error
 
 
 def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path:
-    """Return the file that the key `resume` means: `last`, a run folder, or a file in one.
+    """Return the file to resume from, given the key `resume`: `last`, a run folder or a file.
 
-    `last` searches the runs in `train_dir` whose config.yaml has the `wanted` values by path.
+    `last` searches the runs in `train_dir` whose config.yaml has the values `wanted`, given by
+    path.
     """
     given = user_path(resume)
     if resume == "last":
@@ -204,16 +208,17 @@ def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path
 
 
 def _newest_state(run: RunFolder) -> Path | None:
-    """Return the file to continue from: the newest training state, or a newer rescued checkpoint.
+    """Return the newest training state of a run, or a newer checkpoint in the temporary folder.
 
-    Without a state the newest checkpoint is returned. A newer checkpoint in the run folder (after a
-    kill) is only logged, because only a state resumes exactly.
+    If there is no training state, the newest checkpoint is returned. If the run folder has a
+    checkpoint that is newer than the training state, the checkpoint is only logged, because it does
+    not allow an exact resume.
     """
     states = [file for file in run.files(f"{FOLDER}/*.pth") if _STATE.fullmatch(file.name)]
     state, checkpoint = newest(states), run.newest_checkpoint()
     if state is None or checkpoint is None:
         return state or checkpoint
-    epoch = -1  # The checkpoint may be damaged.
+    epoch = -1  # A damaged checkpoint has no epoch.
     with contextlib.suppress(CheckpointError):
         epoch = int(load_checkpoint(checkpoint).get("epoch", -1))
     if epoch <= int(state.stem):
@@ -229,12 +234,12 @@ def _newest_state(run: RunFolder) -> Path | None:
 
 
 def run_of_file(file: Path) -> Path:
-    """Return the run folder of a file in nn/ or resume/."""
+    """Return the run folder, given a file in its folder nn/ or resume/."""
     return run_of_checkpoint(str(file)) or file.absolute().parent.parent
 
 
 def num_bytes(value: Any) -> int:
-    """Return the bytes of all tensors in nested dictionaries."""
+    """Return the memory of all tensors in nested dictionaries, in bytes."""
     if isinstance(value, dict):
         return sum(num_bytes(part) for part in value.values())
     return value.nbytes if hasattr(value, "nbytes") else 0

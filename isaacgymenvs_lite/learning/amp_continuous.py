@@ -1,11 +1,13 @@
-"""AMPAgent: PPO with a style reward from a discriminator that learns at the same time.
+"""AMPAgent: PPO with a style reward from a discriminator that is trained together with the policy.
 
 Peng et al. 2021, "AMP: Adversarial Motion Priors for Stylized Physics-Based Character Control"
-(arXiv 2104.02180), in the form of IsaacGymEnvs; docs/amp.md lists the differences.
+(arXiv 2104.02180), in the version of IsaacGymEnvs; docs/amp.md lists the differences.
 
-The file follows an epoch. The rollout stores `amp_obs` of each step, and the discriminator rewards
-them. Demonstrations and replayed rows are drawn, and each minibatch trains policy and discriminator
-together. At the end the rollout's `amp_obs` enter the replay buffer.
+The methods are in the order of an epoch. The rollout stores the AMP observation `amp_obs` of each
+step, and the discriminator computes a reward from it. AMP observations of the clips
+(demonstrations) and of earlier rollouts (replay buffer) are drawn. Each minibatch trains policy and
+discriminator together. After the last minibatch, the rollout's `amp_obs` are stored in the replay
+buffer.
 """
 
 from __future__ import annotations
@@ -36,10 +38,10 @@ from isaacgymenvs_lite.learning.warm_start import NUM_SAMPLES, actor_parameters,
 
 log = logging.getLogger(__name__)
 
-# Smoothing of `AMPAgent.staying_up`: half of a change arrives after 14 epochs.
+# Smoothing factor of `AMPAgent.staying_up`, which follows half of a change within 14 epochs.
 _PER_EPOCH = 0.05
-# Mean episode lengths, as shares of the time limit, at which `staying_up` leaves 0 and reaches 1.
-# Exploration noise shortens training episodes.
+# `staying_up` rises from 0 to 1 between these mean episode lengths (shares of the time limit). The
+# upper length is below 1, because exploration noise shortens episodes in training.
 _BEGINS_TO_STAY_UP, _STAYS_UP = 0.3, 0.6
 _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 
@@ -50,12 +52,12 @@ class AMPAgent(StyleLosses, CommonAgent):
     The task is an `AMPEnv`.
 
     Attributes:
-        default_disc_reward: the style reward when the key `disc_reward` is absent.
+        default_disc_reward: formula of the style reward if the key `disc_reward` is absent.
         params_class: dataclass of the agent's keys in addition to PPO's.
-        env_contract: Protocol that the task must fulfil.
+        env_contract: typing.Protocol that the task must fulfil.
         discriminator: network, normaliser and style reward.
-        frozen_until: last epoch in which the actor does not learn, after a warm start.
-        staying_up: share of the time limit that episodes reach, rescaled to 0..1 and smoothed.
+        frozen_until: last epoch in which the actor does not learn (`warm_start` sets it).
+        staying_up: smoothed mean episode length, rescaled to 0..1.
     """
 
     frozen_until = 0
@@ -107,7 +109,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         if self._max_episode_steps is None and self._amp.disc_grad_penalty_final is not None:
             log.info("disc_grad_penalty is constant: the task has no max_episode_length")
         self._amp_obs_size = disc_obs_size(AMPObsShape.from_task(self._env), self._amp)
-        # If this is True, some environments act without exploration noise.
+        # Some environments act without exploration noise if this attribute is True.
         self._masks_exploration = self._amp.enable_eps_greedy
         self._amp_minibatch_size = min(self._amp.amp_minibatch_size, self.minibatch_size)
 
@@ -123,7 +125,8 @@ class AMPAgent(StyleLosses, CommonAgent):
             self.default_disc_reward,
             self.ppo_device,
         )
-        # The published loss has three arguments and computes the gradient itself.
+        # A subclass may have the published `_disc_loss`, which has three arguments and computes the
+        # gradient itself.
         self._disc_loss_takes_gradient = accepts(self._disc_loss, 4)
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
@@ -151,15 +154,15 @@ class AMPAgent(StyleLosses, CommonAgent):
                 self.horizon_length, self.num_actors, device=self.ppo_device
             )
             self.tensor_list += ["rand_action_mask"]
-        # Demonstrations: AMP observations of the reference motions.
+        # This buffer holds demonstrations (AMP observations of the clips).
         self._amp_obs_demo_buffer = ReplayBuffer(
             self._amp.amp_obs_demo_buffer_size, self.ppo_device
         )
-        # AMP observations of earlier policies.
+        # This buffer holds AMP observations of earlier policies.
         self._amp_replay_buffer = ReplayBuffer(self._amp.amp_replay_buffer_size, self.ppo_device)
 
     def _build_rand_action_probs(self) -> None:
-        """Set `_rand_action_probs` (N,), the probability of exploration noise."""
+        """Set `_rand_action_probs` (N,), each environment's probability of exploration noise."""
         self._rand_action_probs = torch.ones(self.num_actors, device=self.ppo_device)
         if self._amp.enable_eps_greedy:
             self._rand_action_probs = exploration_probs(self.num_actors).to(self.ppo_device)
@@ -187,7 +190,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         log.info("warm start: action error %.3f after %.1f s", error, taken_s)
 
     def _fetch_tracking_demo(self) -> TrackingDemo | None:
-        """Return samples of the clips as inputs of the networks; None if the task has none."""
+        """Return poses of clips with their actions; None if the task does not know the actions."""
         fetch = getattr(self._env, "fetch_tracking_demo", None)
         fetched = None if fetch is None else fetch(NUM_SAMPLES, self._observes_goal)
         if fetched is None:
@@ -197,7 +200,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         return TrackingDemo(inputs, actions, self.discriminator.truncate(amp_obs))
 
     def _tracking_latents(self, demo: TrackingDemo) -> Tensor | None:
-        """Return latents (n, Z) for the actor's inputs in a demonstration; None without latents."""
+        """Return latents (n, Z) for the poses in `demo`; None if the policy has no latents."""
         return None
 
     def _init_amp_demo_buf(self) -> None:
@@ -221,7 +224,7 @@ class AMPAgent(StyleLosses, CommonAgent):
     # --- rollout ---------------------------------------------------------------------------
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Sample actions; `_rand_action_probs` selects environments that take the mean action."""
+        """Return sampled actions; environments drawn with `_rand_action_probs` act with noise."""
         result = super().get_action_values(obs)
         if self._masks_exploration:
             self._explored = torch.bernoulli(self._rand_action_probs)
@@ -242,7 +245,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         return self._combine_rewards(task_rewards, amp_rewards)
 
     def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
-        """Return task_reward_w * task + disc_reward_w * style, (..., 1)."""
+        """Return the total rewards task_reward_w * task + disc_reward_w * style, (..., 1)."""
         style_rewards = self._amp.disc_reward_w * amp_rewards["disc_rewards"]
         return self._amp.task_reward_w * task_rewards + style_rewards
 
@@ -270,7 +273,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         if final is None or max_steps is None:
             return
         episodes = self.game_lengths.current_size
-        # The sum is over all processes; one process alone may have no episode yet.
+        # Episodes of all processes are summed, because one process alone may have no episode yet.
         sums = torch.tensor([episodes, episodes * self.game_lengths.get_mean().item()])
         episodes, steps = current_group().sum_(sums).tolist()
         if episodes > 0:
@@ -284,7 +287,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         self.collect({"disc_grad_penalty_weight": torch.tensor(weight)})
 
     def _draw_disc_rows(self, batch_dict: dict[str, Any]) -> None:
-        """Add `amp_obs_demo` from clips, and `amp_obs_replay` from earlier rollouts."""
+        """Add AMP observations of the clips and of earlier rollouts to the batch."""
         fakes = batch_dict["amp_obs"]
         batch_dict["amp_obs_demo"] = self._amp_obs_demo_buffer.sample(len(fakes))["amp_obs"]
         if self._amp_replay_buffer.get_total_count() > 0:
@@ -292,7 +295,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         batch_dict["amp_obs_replay"] = fakes
 
     def prepare_minibatch(self, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Add row weights that mask rows without exploration, and noise on AMP observations."""
+        """Add noise on AMP observations, and weights that are 0 for steps without exploration."""
         rows = super().prepare_minibatch(minibatch)
         if self._masks_exploration:
             mask = minibatch["rand_action_mask"]
@@ -308,7 +311,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         return dict.fromkeys(_AMP_OBS_KINDS, self._amp_minibatch_size)
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return normalised AMP observations and their noise."""
+        """Return normalised AMP observations, and the noise that the model adds to them."""
         inputs = super()._training_inputs(input_dict)
         for name in _AMP_OBS_KINDS:
             inputs[name] = self._preproc_amp_obs(input_dict[name])
@@ -342,7 +345,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         self._store_replay_amp_obs(batch_dict["amp_obs"])
 
     def _store_replay_amp_obs(self, amp_obs: Tensor, **others: Tensor) -> None:
-        """Store rows (n, F) and other columns; a full buffer takes only a random share."""
+        """Store AMP observations (n, F) and other columns; a full buffer stores a random share."""
         rows = {"amp_obs": amp_obs, **others}
         self._amp_replay_buffer.store_some(rows, self._amp.amp_replay_keep_prob)
 
@@ -354,7 +357,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         return replace(parts, modules={**parts.modules, **own})
 
     def get_stats_weights(self, model_stats: bool = False) -> dict[str, Any]:
-        """Return normaliser statistics; the AMP normaliser has IsaacGymEnvs' key."""
+        """Return the normalisers' statistics, with IsaacGymEnvs' key for AMP observations."""
         own = self.discriminator.checkpoint_modules
         states = {key: module.state_dict() for key, module in own.items()}
         return {**super().get_stats_weights(model_stats), **states}
@@ -369,7 +372,8 @@ class AMPAgent(StyleLosses, CommonAgent):
 def exploration_probs(num_envs: int) -> Tensor:
     """Return each environment's probability of exploration noise (N,), as in ASE.
 
-    Environment i has 1 - exp(10 (i / (N - 1) - 1)); a single environment always explores.
+    Environment i explores with probability 1 - exp(10 (i / (N - 1) - 1)); a single environment
+    always explores.
     """
     if num_envs == 1:
         return torch.ones(1)
@@ -379,9 +383,9 @@ def exploration_probs(num_envs: int) -> Tensor:
 
 
 class LeastSquaresAMPAgent(AMPAgent):
-    """The agent of `algo: name: amp_agent`: the paper's bounded style reward is its default.
+    """The agent of `algo: name: amp_agent`; its default is the AMP paper's bounded style reward.
 
-    IsaacGymEnvs' scripts register AMPAgent under this name, and get the logistic reward.
+    In IsaacGymEnvs, scripts register AMPAgent under this name, and use the logistic reward.
     """
 
     default_disc_reward = "least_squares"

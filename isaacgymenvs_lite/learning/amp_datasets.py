@@ -1,4 +1,4 @@
-"""The dataset of one epoch, served in random minibatches."""
+"""The dataset of one epoch, which returns random minibatches."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ from isaacgymenvs_lite.learning.published_names import PublishedNames
 class AMPDataset(PublishedNames, PPODataset):
     """rl_games' dataset with random minibatches.
 
-    Every pass sees each row once, in an order that is drawn after the last minibatch of the pass
-    before. Unlike in rl_games, means and standard deviations of the policy stay the rollout's.
+    A pass over the dataset returns each row once, in a random order that is drawn at the end of the
+    last pass. Unlike in rl_games, the stored means and standard deviations of the policy are those
+    of the rollout in all passes.
 
-    `row_limits` limits the rows of each field in a minibatch (default: all rows).
+    `row_limits` sets the largest number of rows that a minibatch has of a field; by default a
+    minibatch has all of its rows.
     """
 
     def __init__(
@@ -35,11 +37,11 @@ class AMPDataset(PublishedNames, PPODataset):
         self._idx_buf = torch.randperm(self.batch_size, device=self.device)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the order of the rows."""
+        """Return the random order of the rows."""
         return {"order": self._idx_buf.cpu().clone()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the order of a dataset; diverged simulations may have left out rows of it."""
+        """Restore the order of the rows, which are fewer if simulations diverged in the epoch."""
         order = state["order"]
         is_order = torch.equal(order.sort().values, torch.arange(len(order)))
         if not is_order or len(order) > self.batch_size:
@@ -47,7 +49,7 @@ class AMPDataset(PublishedNames, PPODataset):
         self._idx_buf = order.to(self.device)
 
     def update_values_dict(self, values_dict: dict[str, Any]) -> None:
-        """Set the `batch_size` rows of an epoch."""
+        """Set the rows of an epoch; each tensor has `batch_size` rows."""
         super().update_values_dict(values_dict)
         if len(self._idx_buf) != self.batch_size:
             self._shuffle_idx_buf()
@@ -64,5 +66,5 @@ class AMPDataset(PublishedNames, PPODataset):
         return minibatch
 
     def _shuffle_idx_buf(self) -> None:
-        """Draw the order of the rows for the next pass."""
+        """Draw a random order of the rows for the next pass."""
         self._idx_buf = torch.randperm(self.batch_size, device=self.device)

@@ -1,4 +1,4 @@
-"""rl_games' Gaussian policy model with discriminator outputs."""
+"""rl_games' Gaussian policy model, which also returns discriminator logits."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from isaacgymenvs_lite.learning.modules.discriminator import eval_discriminator
 
 
 class ModelAMPContinuous(ModelA2CContinuousLogStd):
-    """`model: name: continuous_amp`, with the normalisers of observations and values inside.
+    """`model: name: continuous_amp`; it contains the normalisers of observations and values.
 
-    A training input with `amp_obs`, `amp_obs_replay` and `amp_obs_demo` (normalised, (K, F) each)
-    also returns the values of `eval_discriminator`. `amp_obs_noise`, `amp_obs_replay_noise` and
-    `amp_obs_demo_noise` (K, F) are added to these inputs if they are given.
+    If a training input has `amp_obs`, `amp_obs_replay` and `amp_obs_demo` (normalised, (K, F)
+    each), the outputs include the values of `eval_discriminator`. If `amp_obs_noise`,
+    `amp_obs_replay_noise` and `amp_obs_demo_noise` (K, F) are given, they are added to the AMP
+    observations.
     """
 
     def __init__(self, network: Any) -> None:
@@ -22,10 +23,10 @@ class ModelAMPContinuous(ModelA2CContinuousLogStd):
         self.network_builder = network
 
     class Network(ModelA2CContinuousLogStd.Network):
-        """The model's module; `a2c_network` is the AMP network."""
+        """The model as a torch module, whose `a2c_network` is the AMP network."""
 
         def forward(self, input_dict: dict[str, Any]) -> dict[str, Any]:
-            """Act (`is_train` False) or evaluate a minibatch; see the class docstring."""
+            """Act if `is_train` is False; otherwise evaluate a minibatch."""
             result = super().forward(input_dict)
             if input_dict.get("is_train", True) and "amp_obs" in input_dict:
                 kinds = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
@@ -34,6 +35,6 @@ class ModelAMPContinuous(ModelA2CContinuousLogStd):
             return result
 
         def _disc_inputs(self, input_dict: dict[str, Any], kind: str) -> tuple[Any, ...]:
-            """Return the arguments of `eval_disc` for the rows named `kind`."""
+            """Return the arguments of `eval_disc` for the AMP observations with the key `kind`."""
             rows, noise = input_dict[kind], input_dict.get(f"{kind}_noise")
             return (rows if noise is None else rows + noise,)

@@ -23,12 +23,12 @@ DEFAULT_INITIALIZER = {"name": "default"}
 class AMPBuilder(A2CBuilder):
     """Builds the network of the section `network:` with `name: amp`.
 
-    Parameters have IsaacGymEnvs' names, and its checkpoints load: `sigma, actor_mlp, critic_mlp,
+    The parameters have the names in IsaacGymEnvs' checkpoints: `sigma, actor_mlp, critic_mlp,
     value, mu, _disc_mlp, _disc_logits`.
     """
 
     class Network(DiscriminatorLayers, ActorCriticNetwork):
-        """Actor, critic and discriminator for AMP observations of shape `amp_input_shape`."""
+        """Actor, critic and discriminator; AMP observations have the shape `amp_input_shape`."""
 
         row_functions = (*ActorCriticNetwork.row_functions, "eval_disc", "eval_disc_with_gradient")
 
@@ -64,7 +64,7 @@ class AMPBuilder(A2CBuilder):
             activation: str,
             initializer: dict[str, Any],
         ) -> nn.Module:
-            """Return a section's initialised layers, each followed by the activation."""
+            """Return the initialised layers of a section, each with its activation."""
             if not units:
                 raise ConfigError(
                     f"train.params.network.{section}.units=[]: expected at least one hidden layer"
@@ -76,7 +76,7 @@ class AMPBuilder(A2CBuilder):
             return layers
 
         def _init_linear(self, module: nn.Module, initializer: dict[str, Any]) -> None:
-            """Initialise linear layers, with zero biases."""
+            """Initialise the weights of linear layers, and set biases to zero."""
             init = self.init_factory.create(**initializer)
             for layer in module.modules():
                 if isinstance(layer, nn.Linear):

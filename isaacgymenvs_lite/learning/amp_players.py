@@ -1,4 +1,4 @@
-"""Players of AMP policies, which also measure the style reward."""
+"""Players of AMP policies; they also measure the style reward."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ log = logging.getLogger(__name__)
 class AMPPlayerContinuous(StyleRewards, CommonPlayer):
     """The player of `amp_continuous` and `amp`.
 
-    `print_disc_prediction` in `params.config` logs the discriminator's logit and reward of
-    environment 0 at every step.
+    If `print_disc_prediction` in `params.config` is True, the discriminator's logit and reward of
+    environment 0 are logged at every step.
     """
 
     _normalize_amp_input = ReadOnly("_amp.normalize_amp_input")
@@ -75,7 +75,7 @@ class AMPPlayerContinuous(StyleRewards, CommonPlayer):
         return reward
 
     def _disc_latents(self) -> tuple[Tensor, ...]:
-        """Return the discriminator's inputs in addition to AMP observations (N, F)."""
+        """Return latents (N, Z) if the discriminator needs them in addition to AMP observations."""
         return ()
 
     def _post_step(self, info: dict[str, Any]) -> None:
@@ -84,7 +84,7 @@ class AMPPlayerContinuous(StyleRewards, CommonPlayer):
             self._amp_debug(info)
 
     def _amp_debug(self, info: dict[str, Any]) -> None:
-        """Log logit and rewards of environment 0."""
+        """Log the discriminator's logit and the style reward of environment 0."""
         amp_obs = info["amp_obs"][:1].to(self.device)
         logit = self._eval_disc(amp_obs, *(rows[:1] for rows in self._disc_latents()))
         rewards = self._calc_amp_rewards(amp_obs, *(rows[:1] for rows in self._reward_latents()))

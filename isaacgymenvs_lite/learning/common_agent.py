@@ -1,7 +1,7 @@
 """PPO with the rollout and update loops that the AMP, GenAMP and HRL agents share.
 
-rl_games' `train()` calls `train_epoch` once per epoch. Agents override the methods that the loops
-call, never the loops. Shapes: N environments, horizon H, A actions, batch B = N * H.
+rl_games' `train()` calls `train_epoch` once per epoch. Agents override methods that the loops call,
+but not the loops themselves. Shapes: N environments, horizon H, A actions, batch B = N * H.
 """
 
 from __future__ import annotations
@@ -33,26 +33,27 @@ from isaacgymenvs_lite.learning.safeguards import PPOSafeguards, leave_out_nccl
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 LossTerms = dict[str, tuple[float, Tensor]]
-"""{name: (weight, term)}: the loss is the weighted sum of the terms. Each term is a mean over rows
-and is logged under its name; a weight of 0 only logs the term."""
+"""{name: (weight, term)}: the loss is the weighted sum of the terms. A term is a mean over rows and
+is logged under its name. A term with weight 0 is only logged."""
 
 
 class CommonAgent(ExplainedNames, PPOSafeguards):
-    """PPO that resets ended episodes before it acts, and bootstraps with the value after each step.
+    """PPO that resets ended episodes before a policy step, and bootstraps with values V(s').
 
-    Its methods keep the names and arguments of IsaacGymEnvs' and ASE's agents. docs/amp.md lists
-    the differences from rl_games.
+    The methods have the names and arguments of the agents in IsaacGymEnvs and ASE. docs/amp.md
+    lists the differences from rl_games.
 
     Attributes:
-        scalars: name of a collected scalar -> its tag in TensorBoard.
-        unsupported_keys: keys of `params.config` that rl_games has and these agents refuse.
-        control_steps_per_action: environment steps that one `env_step` makes and that count as
-            frames.
-        train_log: scalars of the current epoch by name, one for each minibatch or epoch.
-        has_restored: whether a checkpoint was loaded.
+        scalars: TensorBoard tags of the collected scalars by their names.
+        unsupported_keys: keys of `params.config` that rl_games' agents accept and these agents
+            refuse.
+        control_steps_per_action: number of control steps in one `env_step`; each counts as a frame.
+        train_log: lists of scalars of the current epoch by name, with a value per minibatch or
+            epoch.
+        has_restored: whether a checkpoint has been loaded.
 
     Raises:
-        ConfigError: this family of agents does not support a key.
+        ConfigError: a key is not supported by this family of agents.
         OverrideError: a subclass overrides a method that nothing calls here.
     """
 
@@ -63,7 +64,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     has_restored = False
     stored_episodes = ("dataset",)
 
-    # rl_games declares these as None and sets them in its constructors.
+    # rl_games declares these attributes as None and sets them in its constructors.
     vec_env: Any
     writer: Any
     obs: Any
@@ -85,7 +86,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
                 " model, network and config"
             )
         self._precision = _prepare_settings(self._section["config"], self.unsupported_keys)
-        # A2CAgent's own constructor would build the model before the agent reads its keys.
+        # The constructor of A2CAgent is not called, because it builds the model before the keys are
+        # read.
         ContinuousA2CBase.__init__(self, base_name, self._section)
         self._check_batch_size()
         self.network_path = self.nn_dir
@@ -95,7 +97,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self._build_modules()
         self.last_lr = float(self.last_lr)
         self._learned = [p for p in self.model.parameters() if p.requires_grad]
-        self._frozen: list[torch.nn.Parameter] = []  # Adam skips these in this epoch.
+        self._frozen: list[torch.nn.Parameter] = []  # Adam skips these parameters in this epoch.
         decay = self.weight_decay
         self.optimizer = torch.optim.Adam(
             self._parameter_groups(), self.last_lr, eps=1e-8, weight_decay=decay, fused=True
@@ -113,23 +115,23 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self._epoch_info: dict[str, Any] = {}
         self._rollout_rewards: dict[str, Tensor] = {}
         self._mask = RolloutMask(self.horizon_length)
-        # A policy call returns the model's values; a subclass may have a critic of its own.
+        # A policy call already returns the model's values; a subclass may override the critic.
         self._has_own_critic = type(self)._eval_critic is not CommonAgent._eval_critic
         self._restored_best: float | None = None
         self.algo_observer.after_init(self)
 
     def _load_config_params(self, config: dict[str, Any]) -> None:
-        """Read the agent's own keys of `params.config`; the networks do not exist yet."""
+        """Read the agent's additional keys of `params.config`, before the networks are built."""
 
     def _setup_action_space(self) -> None:
-        """Set the number and limits of the actions; the networks do not exist yet."""
+        """Set dimension and limits of the actions, before the networks are built."""
         box = self.env_info["action_space"]
         self.actions_num = box.shape[0]
         self.actions_low = torch.from_numpy(box.low.copy()).float().to(self.ppo_device)
         self.actions_high = torch.from_numpy(box.high.copy()).float().to(self.ppo_device)
 
     def _build_net_config(self) -> dict[str, Any]:
-        """Return the arguments that the model is built with."""
+        """Return the arguments with which the model is built."""
         return {
             "actions_num": self.actions_num,
             "input_shape": self.obs_shape,
@@ -146,7 +148,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
                 self.central_value_net = _make_central_value(self)
         self.model.to(self.ppo_device)
         self.executor = take_models(self, self.ppo_device, mixed_precision)
-        # rl_games may train the network's own critic in addition to an asymmetric critic.
+        # Like rl_games, train the policy network's critic in addition to the asymmetric one if the
+        # key is True.
         own_learns = bool(self.config.get("use_experimental_cv", True))
         self.has_value_loss = own_learns or not self.has_central_value
         self.states = None
@@ -155,10 +158,10 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             raise ConfigError("train.params.network.rnn is not supported by AMP-family agents")
 
     def _build_modules(self) -> None:
-        """Build an agent's own modules; the model already exists."""
+        """Build an agent's additional modules, after the model."""
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
-        """Return Adam's parameter groups; the learning rate's schedule changes the first only."""
+        """Return Adam's parameter groups; the learning rate schedule changes only the first."""
         return [{"params": list(self.model.parameters())}]
 
     # --- before the first epoch ------------------------------------------------------------
@@ -172,12 +175,12 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def env_reset(self) -> Any:
         """Reset the environment at the start of training, and restore the best reward.
 
-        rl_games forgets the best reward between restoring and training, and would overwrite the
-        best checkpoint by a worse one.
+        rl_games resets the best reward after a checkpoint is restored, and then overwrites the best
+        checkpoint by a worse one.
         """
         if self._restored_best is not None:
             self.last_mean_rewards, self._restored_best = self._restored_best, None
-        torch.set_num_threads(1)  # Only the networks are large enough for several threads.
+        torch.set_num_threads(1)  # The task's operations are too small for several threads.
         task = getattr(self.vec_env, "env", None)
         if hasattr(task, "is_training"):
             task.is_training = True  # type: ignore[union-attr]
@@ -185,7 +188,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return super().env_reset()
 
     def _init_train(self) -> None:
-        """Prepare the first rollout: buffers exist, and the environments are not reset yet."""
+        """Prepare the first rollout, after buffers are allocated and before the first reset."""
 
     # --- epoch -----------------------------------------------------------------------------
 
@@ -468,12 +471,12 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return kls
 
     def _after_update(self, batch_dict: dict[str, Any]) -> None:
-        """Process the rollout's rows after the last minibatch."""
+        """Process the rollout after the last minibatch of an epoch."""
 
     # --- gradient step ---------------------------------------------------------------------
 
     def train_actor_critic(self, input_dict: dict[str, Any]) -> Any:
-        """Take a gradient step, and collect its scalars."""
+        """Take a gradient step, and collect the scalars to log."""
         self.set_train()
         self.calc_gradients(input_dict)
         result: Any = self.train_result
@@ -483,16 +486,16 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def calc_gradients(self, input_dict: dict[str, Tensor]) -> None:
         """Take one gradient step on a minibatch.
 
-        Sets `self.train_result` to means over the minibatch, under the published names: `entropy`,
-        `kl`, `last_lr`, `lr_mul`, `b_loss`, `actor_loss`, `actor_clip_frac`, `critic_loss`, and the
-        agent's own terms.
+        The method sets `self.train_result` to means over the minibatch: `entropy`, `kl`, `last_lr`,
+        `lr_mul`, `b_loss`, `actor_loss`, `actor_clip_frac`, `critic_loss`, and the agent's
+        additional loss terms.
         """
         rows = self.prepare_minibatch(input_dict)
         gradients, values = self.executor.gradients(self.compute_loss, rows, self._learned)
         for parameter, gradient in zip(self._learned, gradients, strict=True):
             parameter.grad = gradient
         for parameter in self._frozen:
-            parameter.grad = None  # Adam skips it.
+            parameter.grad = None  # Adam skips this parameter.
         self.trancate_gradients_and_step()
 
         neglogp = values.pop("neglogp")
@@ -514,12 +517,12 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         """Update the running statistics, and return the rows that `compute_loss` needs.
 
         Several threads compute slices of these rows. Random numbers, and values that depend on all
-        rows at once, are therefore drawn here. `row_weights` (M,), of mean 1, weigh the policy's
-        losses.
+        rows, are therefore computed here and not in `compute_loss`. `row_weights` (M,), with mean
+        1, are weights of the rows in the policy's losses.
         """
         inputs = self._normalizer_inputs(minibatch)
         for normalizer, *_ in inputs:
-            normalizer.eval()  # `compute_loss` only normalises
+            normalizer.eval()  # `compute_loss` must not update it
         if current_group().size > 1:
             count_in_jointly(inputs)
         else:
@@ -527,19 +530,20 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return dict(minibatch)
 
     def _normalizer_inputs(self, input_dict: dict[str, Tensor]) -> list[tuple[Any, ...]]:
-        """Return tuples of a normaliser and the rows (n, ...) that update it in this order."""
+        """Return tuples of a normaliser and the tensors (n, ...) that update it."""
         if not self.normalize_input:
             return []
         return [(self.model.running_mean_std, self._preproc_obs(input_dict["obs"]))]
 
     # --- loss ------------------------------------------------------------------------------
-    # Several threads call these methods at the same time, each with a slice of the minibatch. The
-    # methods must not change the agent.
+    # Several threads call the loss methods at the same time, each with a slice of the minibatch. A
+    # loss method must not change the agent.
 
     def compute_loss(self, minibatch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss of the rows of `prepare_minibatch`, and values to log.
+        """Return the loss of a minibatch from `prepare_minibatch`, and values to log.
 
-        The values are the loss terms, `actor_clip_frac` and `kl` as scalars, and `neglogp` (n,).
+        The values to log are the scalars `actor_clip_frac`, `kl` and all loss terms, and `neglogp`
+        (n,).
         """
         batch = {
             "is_train": True,
@@ -577,14 +581,14 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         if "actor_clipped" in actor:
             clipped = actor["actor_clipped"].float()
             logged["actor_clip_frac"] = weighted_mean(clipped, minibatch)
-        # A subclass may add scalars.
+        # The loss methods of a subclass may return more scalars.
         for name, value in {**actor, **critic}.items():
             if name not in logged and name != "actor_clipped" and isinstance(value, Tensor):
                 logged[name] = value.detach().mean()
         return torch.stack(weighted).sum(), logged
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return the model's inputs in addition to the observation."""
+        """Return the model's inputs in addition to the observations."""
         return {}
 
     def _actor_loss(
@@ -594,10 +598,10 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         advantage: Tensor,
         curr_e_clip: float,
     ) -> dict[str, Tensor]:
-        """Return `actor_loss` (n,), and `actor_clipped` (n,) bool: ratios outside the clip range.
+        """Return `actor_loss` (n,), and `actor_clipped` (n,) bool, which marks clipped ratios.
 
-        PPO's clipped surrogate (Schulman et al. 2017, eq. 7), negated. `ppo: False` selects the
-        plain policy gradient. The arguments are negative log probabilities, despite their names.
+        The loss is PPO's negated clipped surrogate (Schulman et al. 2017, eq. 7). `ppo: False`
+        selects the plain policy gradient. The arguments are negative log probabilities.
         """
         ratio = torch.exp(old_action_log_probs_batch - action_log_probs)
         clipped = (ratio - 1.0).abs() > curr_e_clip
@@ -616,9 +620,10 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return_batch: Tensor,
         clip_value: bool,
     ) -> dict[str, Tensor]:
-        """Return `critic_loss` (n, values): squared errors of normalised values (rl_games: halved).
+        """Return `critic_loss` (n, values), the squared errors of normalised values.
 
-        `clip_value` clips the values to `curr_e_clip` around the old values.
+        rl_games returns half of them. If `clip_value` is True, the new values are clipped to
+        +-`curr_e_clip` around the old values.
         """
         loss = (return_batch - values) ** 2
         if clip_value:
@@ -627,20 +632,21 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         return {"critic_loss": loss}
 
     def bound_loss(self, mu: Tensor) -> Tensor:
-        """Return squared excesses (n,) of mean actions (n, A) over +-1 (rl_games: 1.1)."""
+        """Return squared excesses (n,) of mean actions (n, A) over +-1 (rl_games: +-1.1)."""
         excess = mu.abs().sub(1.0).clamp(min=0.0)
         return (excess * excess).sum(dim=-1)
 
     def _extra_losses(
         self, result: dict[str, Tensor], batch: dict[str, Any], input_dict: dict[str, Tensor]
     ) -> LossTerms:
-        """Return an agent's own loss terms for a slice, given the model's outputs and inputs."""
+        """Return an agent's additional loss terms, given the model's outputs and inputs."""
         return {}
 
     # --- learning rate ---------------------------------------------------------------------
 
     def _schedule_learning_rate(self, kl: Tensor) -> None:
-        # Only the adaptive schedule needs the KL; `item` waits for the device.
+        # The KL divergence is read only for the adaptive schedule, because `item` waits for the
+        # GPU.
         value = current_group().mean(kl).item() if self.is_adaptive_lr else 0.0
         self._advance_schedule(value)
         self.update_lr(self.last_lr)
@@ -651,7 +657,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         )
 
     def update_lr(self, lr: float) -> None:
-        """Set the learning rate of all parameter groups without a rate of their own."""
+        """Set the learning rate of the parameter groups that have no constant learning rate."""
         fixed = [group["lr"] for group in self.optimizer.param_groups[1:]]
         super().update_lr(lr)
         for group, own_lr in zip(self.optimizer.param_groups[1:], fixed, strict=True):
@@ -660,19 +666,19 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     # --- log -------------------------------------------------------------------------------
 
     def collect(self, scalars: Mapping[str, Any]) -> None:
-        """Append the tensors among these scalars to `train_log`."""
+        """Append those scalars that are tensors to `train_log`."""
         for name, value in scalars.items():
             if isinstance(value, Tensor):
                 self.train_log.setdefault(name, []).append(value)
 
     def train_info_means(self) -> dict[str, float]:
-        """Return the epoch's means of all collected scalars."""
+        """Return the mean of each collected scalar over the epoch."""
         return {name: torch_ext.mean_list(each).item() for name, each in self.train_log.items()}
 
     def _record_train_batch_info(
         self, batch_dict: dict[str, Any], train_info: dict[str, Any]
     ) -> None:
-        """Add the rollout's reward terms to `train_info`, which `_log_train_info` reads."""
+        """Add the rollout's reward terms to `train_info`, which `_log_train_info` writes."""
         for name in self._rollout_rewards:
             train_info[name] = batch_dict[name]
 
@@ -683,7 +689,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
                 self.writer.add_scalar(tag, torch_ext.mean_list(train_info[name]).item(), frame)
 
     def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:
-        """Write rl_games' scalars and the additional scalars of IsaacGymEnvs' CommonAgent."""
+        """Write rl_games' scalars, and the additional scalars of CommonAgent in IsaacGymEnvs."""
         self._check_finite({name: torch.stack(each) for name, each in self.train_log.items()})
         (_step_time, play_time, update_time, *_rest) = args
         frame, scaled_time, _scaled_play_time, curr_frames = args[-4:]
@@ -700,21 +706,22 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         super().write_stats(total_time, epoch_num, *args)
 
     # --- checkpoint ------------------------------------------------------------------------
-    # `PPOSafeguards` reads and writes the files.
+    # `PPOSafeguards` reads and writes the checkpoint files.
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Load a checkpoint of a training, or raise CheckpointError."""
+        """Load a checkpoint, or raise CheckpointError."""
         super().set_full_state_weights(weights, set_epoch)
-        if self.linear_lr:  # Without this the next epoch would start at the first epoch's rate.
+        if self.linear_lr:  # This sets the rate for the next epoch.
             self._advance_schedule(kl=0.0)
-            # `update_lr` would wait for the other processes, which may restore nothing.
+            # `update_lr` is not called, because it waits for other processes, which may restore
+            # nothing.
             self.optimizer.param_groups[0]["lr"] = self.last_lr
         self._restored_best = self.last_mean_rewards
         self.has_restored = True
 
 
 def given_params(params: dict[str, Any] | None, config: dict[str, Any] | None) -> dict[str, Any]:
-    """Return the agent's section, given as `params` or under the published name `config`."""
+    """Return the agent's section, which is `params` or, under its published name, `config`."""
     if (params is None) == (config is None):
         raise ConfigError(
             "an agent needs the section params of a train file: give either params= or config="
@@ -730,7 +737,8 @@ def _prepare_settings(settings: dict[str, Any], unsupported: tuple[str, ...]) ->
                 f"train.params.config.{key} is not supported by this agent; remove it"
             )
     mixed_precision = settings.get("mixed_precision", False)
-    # rl_games' own key means CUDA autocast with a gradient scaler; bfloat16 needs no scaler.
+    # In rl_games this key selects CUDA autocast with a gradient scaler, which bfloat16 does not
+    # need.
     settings["mixed_precision"] = False
     leave_out_nccl(settings)
     settings["torch_compile"] = torch_compile_setting(
@@ -740,7 +748,7 @@ def _prepare_settings(settings: dict[str, Any], unsupported: tuple[str, ...]) ->
 
 
 def _make_central_value(agent: Any) -> CentralValueTrain:
-    """Return the asymmetric critic, built as in rl_games' A2CAgent, unless it is recurrent."""
+    """Return the asymmetric critic, built like in rl_games' A2CAgent; refuse a recurrent critic."""
     settings = agent.central_value_config
     critic = CentralValueTrain(
         state_shape=agent.state_shape,

@@ -1,4 +1,4 @@
-"""Players, which measure a policy over whole episodes in the play loop of `evaluation`."""
+"""Players, which measure a policy over whole episodes with the play loop of `evaluation`."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 
 
 class EpisodePlayer(BasePlayer):
-    """Mixin of players: plays `games_num` episodes, also without a window."""
+    """Mixin of players that plays `games_num` episodes, with or without a viewer window."""
 
     result: EvaluationResult | None = None
-    """Result of `run`; None before."""
+    """The result of `run`; it is None before."""
 
     def __init__(self, params: dict[str, Any]) -> None:
         super().__init__(params)
         self.has_batch_dimension = True
 
     def run(self) -> None:
-        """Play, log the result, and continue while a window is open."""
+        """Play, log the result, and go on playing while a viewer window is open."""
         games = episodes_to_play(self.player_config)
         self.result = evaluate_and_log(self.env, self.act, games, on_step=self.on_step)
         play_on(self.env, self.act, self.on_step)
@@ -45,15 +45,15 @@ class EpisodePlayer(BasePlayer):
             return self.get_action(rows, self.is_deterministic)
 
     def on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
-        """Use the dones (N,) and infos of a step, before resets."""
+        """Process the dones (N,) and infos of a step; this is called before resets."""
 
 
 class CommonPlayer(ExplainedNames, EpisodePlayer, RestoringPlayer, PpoPlayerContinuous):
     """The player of a CommonAgent.
 
-    Keys of `train.params.config.player`: `games_num` (default: 32, at least one per environment),
-    `deterministic` (default True: mean actions), `record` (a .npz file for the first episode of
-    environment 0 as a motion clip).
+    Keys of `train.params.config.player`: `games_num` (number of episodes, by default 32 and at
+    least one per environment), `deterministic` (whether to use mean actions, by default True), and
+    `record` (a .npz file to which the first episode of environment 0 is written as a motion clip).
 
     Raises:
         ConfigError: a latent is given for a policy without skill latents.
@@ -63,10 +63,11 @@ class CommonPlayer(ExplainedNames, EpisodePlayer, RestoringPlayer, PpoPlayerCont
     replaced: ClassVar[dict[str, str]] = PLAYER_NAMES
 
     is_latent_conditioned: ClassVar[bool] = False
-    """Whether the policies act under skill latents."""
+    """Whether policies of this player receive skill latents."""
 
     def __init__(self, params: dict[str, Any]) -> None:
-        # PpoPlayerContinuous' own constructor would build the model before its inputs are known.
+        # The constructor of PpoPlayerContinuous is not called, because it builds the model before
+        # the model's inputs are known.
         BasePlayer.__init__(self, params)
         latent = self.player_config.get("latent")
         if latent and not self.is_latent_conditioned:
@@ -74,7 +75,7 @@ class CommonPlayer(ExplainedNames, EpisodePlayer, RestoringPlayer, PpoPlayerCont
                 f"latent={latent}: this policy has no skill latents (only policies of gen_amp and"
                 " ase have); remove it"
             )
-        # rl_games' default plays until a window is closed.
+        # rl_games' default plays without end; this project's default is a number of episodes.
         self.games_num = episodes_to_play(self.player_config)
         self.has_batch_dimension = True
         self.network = self.config["network"]
@@ -86,7 +87,7 @@ class CommonPlayer(ExplainedNames, EpisodePlayer, RestoringPlayer, PpoPlayerCont
         self._recorder = MotionRecorder(self.env, path) if path else None
 
     def _setup_action_space(self) -> None:
-        """Set the number and limits of the policy's actions; the networks do not exist yet."""
+        """Set dimension and limits of the policy's actions, before the networks are built."""
         self.actions_num = self.action_space.shape[0]
         self.actions_low = torch.from_numpy(self.action_space.low.copy()).to(self.device)
         self.actions_high = torch.from_numpy(self.action_space.high.copy()).to(self.device)
@@ -97,7 +98,7 @@ class CommonPlayer(ExplainedNames, EpisodePlayer, RestoringPlayer, PpoPlayerCont
         self.is_rnn = False
 
     def _build_net_config(self) -> dict[str, Any]:
-        """Return the arguments that the model is built with."""
+        """Return the arguments with which the model is built."""
         return {
             "actions_num": self.actions_num,
             "input_shape": self.obs_shape,
@@ -108,12 +109,12 @@ class CommonPlayer(ExplainedNames, EpisodePlayer, RestoringPlayer, PpoPlayerCont
         }
 
     def run(self) -> None:
-        """Play `games_num` episodes, log the result, and continue while a window is open."""
+        """Play `games_num` episodes, log the result, and go on while a viewer window is open."""
         self._measure()
         play_on(self.env, self.act)
 
     def _measure(self) -> None:
-        """Play `games_num` episodes and log reward, episode length and imitation."""
+        """Play `games_num` episodes, and log reward, episode length and imitation errors."""
         self.result = evaluate_and_log(
             self.env,
             self.act,
@@ -127,7 +128,7 @@ class CommonPlayer(ExplainedNames, EpisodePlayer, RestoringPlayer, PpoPlayerCont
         return {"obs": super().obs_to_torch(obs)}
 
     def get_action(self, obs_dict: Any, is_deterministic: bool = False) -> Tensor:
-        """Return actions (N, A) within the action space for raw observations, {"obs": (N, O)}."""
+        """Return actions (N, A) within the action space for raw observations {"obs": (N, O)}."""
         obs = obs_dict["obs"] if isinstance(obs_dict, dict) else obs_dict
         with torch.no_grad():
             result = self.model(
@@ -145,18 +146,18 @@ class CommonPlayer(ExplainedNames, EpisodePlayer, RestoringPlayer, PpoPlayerCont
         return rescale_actions(self.actions_low, self.actions_high, actions.clamp(-1.0, 1.0))
 
     def _policy_inputs(self) -> dict[str, Tensor]:
-        """Return policy inputs (N, ...) in addition to the observation, once per step."""
+        """Return the policy's inputs besides the observation; this is called once per step."""
         return {}
 
     def style_reward_function(self) -> Callable[[Tensor], Tensor] | None:
-        """Return a function from AMP observations (N, F) to rewards; None without discriminator."""
+        """Return a function from AMP observations (N, F) to rewards, or None if there is none."""
         return None
 
     def on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
-        """Record the step, and call `_post_step`."""
+        """Record the step if a clip is recorded, and call `_post_step`."""
         if self._recorder is not None:
             self._recorder.step(dones)
         self._post_step(infos)
 
     def _post_step(self, info: dict[str, Any]) -> None:
-        """Use the infos of a step, before resets."""
+        """Process the infos of a step; this is called before resets."""

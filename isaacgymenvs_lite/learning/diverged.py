@@ -1,9 +1,10 @@
-"""Leaves the transitions of diverged simulations out of an update.
+"""Excludes transitions in which the simulation diverged from an update.
 
-A task marks them in `infos["diverged"]` (N,). The next state and the reward of such a transition
-are meaningless. The episode counts as truncated before the transition, and earlier returns end with
-V of the transition's own observation, the last good state. Recurrent networks need whole sequences;
-rl_games' masks remove the transition from their losses, but normalisers count its observation.
+A task reports diverged simulations in `infos["diverged"]` (N,). Next state and reward of a diverged
+transition are meaningless. The episode is treated as truncated before this transition: returns of
+earlier steps are bootstrapped with the value V of the last valid observation. Recurrent networks
+need whole sequences, therefore masks of rl_games remove the transition only from the losses;
+normalisers still count its observation.
 """
 
 from __future__ import annotations
@@ -17,11 +18,14 @@ from rl_games.common.experience import VectorizedReplayBuffer
 from torch import Tensor
 
 _COLUMNS = ("obses", "next_obses", "actions", "rewards", "dones")
-"""Columns of rl_games' replay buffer."""
+"""Names of the tensors in rl_games' replay buffer."""
 
 
 class RolloutMask:
-    """Records which steps of a rollout diverged; `num_steps` counts the steps."""
+    """Records the steps of a rollout in which simulations diverged.
+
+    `num_steps` is the number of recorded steps.
+    """
 
     def __init__(self, horizon: int) -> None:
         self._horizon = horizon
@@ -29,7 +33,7 @@ class RolloutMask:
         self.num_steps = 0
 
     def add(self, diverged: Tensor | None) -> None:
-        """Record the next step, (N,) bool or None; a complete rollout is cleared first."""
+        """Record the next step, (N,) bool or None; after a complete rollout, start a new one."""
         if self.num_steps == self._horizon:
             self._diverged, self.num_steps = {}, 0
         if diverged is not None:
@@ -38,7 +42,7 @@ class RolloutMask:
 
     @property
     def kept(self) -> Tensor | None:
-        """(H, N) bool, False where a simulation diverged; None if none diverged."""
+        """(H, N) bool, False where a simulation diverged, or None if no simulation diverged."""
         if not self._diverged:
             return None
         shape = next(iter(self._diverged.values()))
@@ -49,7 +53,10 @@ class RolloutMask:
 
 
 def take_rows(batch: dict[str, Any], kept: Tensor) -> dict[str, Any]:
-    """Return a batch with the rows of `kept` (B,) bool; values without B rows stay unchanged."""
+    """Return a batch with only the rows where `kept` (B,) is True.
+
+    Values that do not have B rows are unchanged.
+    """
     rows = kept.nonzero().flatten()
 
     def of(values: Any) -> Any:
@@ -62,7 +69,7 @@ def take_rows(batch: dict[str, Any], kept: Tensor) -> dict[str, Any]:
 
 
 def fit_datasets(agent: Any, num_rows: int) -> None:
-    """Divide `num_rows` rows among the minibatches of an agent and its asymmetric critic."""
+    """Set the minibatch sizes of an agent and its asymmetric critic for `num_rows` rows."""
     for owner in (agent, agent.central_value_net) if agent.has_central_value else (agent,):
         dataset = owner.dataset
         dataset.batch_size = num_rows
@@ -71,21 +78,22 @@ def fit_datasets(agent: Any, num_rows: int) -> None:
 
 
 class EpisodeMeter(AverageMeter):
-    """rl_games' mean over the last episodes, without diverged episodes.
+    """rl_games' meter for a mean over the last episodes, without diverged episodes.
 
     Attributes:
-        left_out: (n,) bool, diverged episodes of the next updates; None if none diverged.
+        left_out: (n,) bool, which episodes of the next `update` diverged, or None if no episode
+            did.
     """
 
     left_out: Tensor | None = None
 
     def update(self, values: Tensor) -> None:
-        """Count episodes (n, ...)."""
+        """Add the values of n episodes, (n, ...)."""
         super().update(values if self.left_out is None else values[~self.left_out])
 
 
 class EpisodeMeters:
-    """Replaces named meters of an agent whose rl_games loop updates them."""
+    """Replaces meters of an agent, given by their names, which rl_games' loop updates."""
 
     def __init__(self, agent: Any, names: tuple[str, ...]) -> None:
         self._meters = []
@@ -96,17 +104,17 @@ class EpisodeMeters:
             self._meters.append(meter)
 
     def leave_out(self, diverged: Tensor | None, dones: Tensor) -> None:
-        """Leave out episodes that diverged, (N,) bool or None, and end in this step, dones (N,)."""
+        """Exclude diverged episodes, (N,) bool or None, from those that end now, `dones` (N,)."""
         left_out = None if diverged is None else diverged[dones.bool()]
         for meter in self._meters:
             meter.left_out = left_out
 
 
 class KeptTransitions(VectorizedReplayBuffer):
-    """rl_games' replay buffer without diverged transitions.
+    """rl_games' replay buffer, which leaves out diverged transitions.
 
     Attributes:
-        left_out: (N,) bool, diverged rows of the next `add`; None if none diverged.
+        left_out: (N,) bool, which rows of the next `add` diverged, or None if no row did.
     """
 
     left_out: Tensor | None = None
@@ -120,15 +128,15 @@ class KeptTransitions(VectorizedReplayBuffer):
             super().add(*rows)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the stored rows and the position of the next row."""
+        """Return the stored rows, and the index where the next row is stored."""
         n = self.capacity if self.full else self.idx
-        # A slice is copied; otherwise a file would hold the whole tensor.
+        # The slice is copied, because `torch.save` would write the whole tensor for a slice.
         rows = {name: getattr(self, name)[:n].cpu() for name in _COLUMNS}
         rows = rows if self.full else {name: row.clone() for name, row in rows.items()}
         return {"rows": rows, "idx": self.idx, "full": self.full}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the rows of a buffer of the same size."""
+        """Restore the rows of another buffer, which must have the same size."""
         n = self.capacity if state["full"] else state["idx"]
         for name in _COLUMNS:
             getattr(self, name)[:n].copy_(state["rows"][name])

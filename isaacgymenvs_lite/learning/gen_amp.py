@@ -1,8 +1,8 @@
-"""GenAMPAgent: AMP with a policy that acts under a skill latent; ASE's low-level controller.
+"""GenAMPAgent: AMP with a policy that receives a skill latent, such as ASE's low-level controller.
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
-An encoder infers the latent from the motion, and rewards the policy for motion that reveals it.
-Different latents therefore become different skills.
+An encoder infers the latent from the motion. The policy is rewarded if the inferred latent is
+similar to the policy's latent; different latents therefore become different skills.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ from isaacgymenvs_lite.learning.skills.latents import (
 )
 from isaacgymenvs_lite.learning.warm_start import descend
 
-# Number of rows of the clips that are compared with a random latent.
+# Each random latent is compared with this many AMP observations of the clips.
 _NEIGHBOURS = 512
-# Latents of replayed and reference rows, inputs of a conditional discriminator.
+# Inputs of a conditional discriminator: latents of AMP observations from replay buffer and clips.
 _DISC_LATENTS = ("amp_obs_replay_latents", "amp_obs_demo_latents")
 
 
 class GenAMPAgent(SkillRewards, AMPAgent):
     """The agent of `algo: name: gen_amp` or `ase`.
 
-    The task is a `SkillEnv`. It must be a `ClipSkillEnv` if latents or the encoder's losses come
-    from clips, or if the discriminator is conditional.
+    The task is a `SkillEnv`. The task must be a `ClipSkillEnv` if latents are inferred from clips,
+    if the encoder has losses on clips, or if the discriminator is conditional.
 
     Attributes:
-        encoder: the encoder's reward and loss.
-        schedule: the current latents.
+        encoder: reward and loss of the encoder.
+        schedule: the current latents of the environments, and when they change.
     """
 
     params_class: ClassVar[type[AMPParams]] = GenAMPParams
@@ -67,7 +67,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         "enc_grad_penalty": "info/enc_grad_penalty",
     }
     stored_episodes = ("schedule",)
-    # An asymmetric critic would not receive the latents.
+    # An asymmetric critic is refused, because it does not receive the latents.
     unsupported_keys = (*AMPAgent.unsupported_keys, "central_value_config")
     _amp: GenAMPParams
     _env: SkillEnv
@@ -112,7 +112,8 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         self.encoder = SkillEncoder(
             self.model.a2c_network, lambda amp_obs: self._preproc_amp_obs(amp_obs), self._amp
         )
-        # The published loss has three arguments and draws the other latents itself.
+        # A subclass may have the published loss, which has three arguments and draws `new_latents`
+        # itself.
         self._diversity_loss_takes_latents = accepts(self._diversity_loss, 4)
         if self._amp.disc_mismatched_demos > 0.0 and not self._disc_is_conditional:
             raise ConfigError(
@@ -135,7 +136,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
                 "train.params.config: clip_latents, enc_alignment_coef, enc_uniformity_coef or"
                 " network.disc.conditional",
             )
-        # An episode follows its clip as long as it has the latent of its start.
+        # The task compares an episode with its clip until the first latent of the episode changes.
         self._keeping: ClipKeepingEnv | None = None
         if self._amp.clip_latents > 0.0 and fits(self._clips, ClipKeepingEnv):
             self._keeping = self._clips
@@ -149,7 +150,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         self.tensor_list += ["amp_latents"]
 
     def _store_demos(self) -> None:
-        """Store demonstrations, with a second moment of the same clip where pairs are needed."""
+        """Store AMP observations of clips, or pairs of them at two times of a clip."""
         if not self._needs_pairs:
             super()._store_demos()
             return
@@ -158,15 +159,15 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         self._amp_obs_demo_buffer.store({"amp_obs": at, "amp_obs_near": near})
 
     def _fetch_amp_obs_demo_pairs(self, num_samples: int) -> Tensor:
-        """Return AMP observations (n, 2, F), each pair from two moments of a reference motion."""
+        """Return n pairs of AMP observations (n, 2, F), each from two nearby times of a clip."""
         return self._clips.fetch_amp_obs_demo_pairs(num_samples)
 
     def _fetch_tracking_demo(self) -> TrackingDemo | None:
-        """Return a demonstration if the encoder learns from clips and can give it latents."""
+        """Return poses of clips with their actions if the encoder learns from clips, else None."""
         return super()._fetch_tracking_demo() if self._amp.encodes_clips else None
 
     def _tracking_latents(self, demo: TrackingDemo) -> Tensor:
-        """Train the encoder on the clips, and return the latents of a demonstration."""
+        """Train the encoder on the clips, and return the latents that it infers for `demo`."""
         if self.discriminator.normalizer is not None:
             self.discriminator.normalizer.count_in(demo.amp_obs)
 
@@ -203,7 +204,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
             self._keeping.keep_to_clips(env_ids[of_starts])
 
     def _update_latents(self) -> None:
-        """Replace expired latents before a policy step."""
+        """Replace latents that change before this policy step."""
         changed = self.schedule.advance(self._progress())
         if self._keeping is not None:
             self._keeping.leave_clips(changed)
@@ -226,7 +227,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return lambda: {"amp_latents": latents(env.progress_buf.to(self.ppo_device))}
 
     def _needs_next_value(self) -> Tensor:
-        """Include environments whose latent changes: V(s') belongs to this step's latent."""
+        """Include environments whose latent changes: V(s') is computed with the old latent."""
         return super()._needs_next_value() | self.schedule.is_over(self._progress())
 
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
@@ -237,7 +238,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return (self.experience_buffer.tensor_dict["amp_latents"],)
 
     def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
-        """Return AMP's reward plus enc_reward_w * encoder reward, (..., 1)."""
+        """Return the total rewards (..., 1): AMP's reward + enc_reward_w * encoder reward."""
         return (
             super()._combine_rewards(task_rewards, amp_rewards)
             + self._amp.enc_reward_w * amp_rewards["enc_rewards"]
@@ -246,12 +247,13 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     # --- update ----------------------------------------------------------------------------
 
     def _draw_disc_rows(self, batch_dict: dict[str, Any]) -> None:
-        """Add demonstrations and replayed rows, with latents for a conditional discriminator.
+        """Add AMP observations of clips and replay buffer to the batch, with latents if needed.
 
-        A demonstration has the latent of another moment of its clip, because the discriminator
-        could match inputs with the latent of the same moment. `disc_mismatched_demos` replaces some
-        replayed rows by demonstrations under wrong latents, which count as fake (Reed et al. 2016,
-        "Generative Adversarial Text to Image Synthesis", algorithm 1).
+        Only a conditional discriminator needs latents. An AMP observation of a clip gets the latent
+        of another time of the clip, because the latent of the same time would be too easy to match.
+        `disc_mismatched_demos` replaces some replayed AMP observations by AMP observations of clips
+        with wrong latents, which count as fake (Reed et al. 2016, "Generative Adversarial Text to
+        Image Synthesis", algorithm 1).
         """
         if not self._disc_is_conditional:
             super()._draw_disc_rows(batch_dict)
@@ -261,8 +263,9 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         pairs = self._amp_obs_demo_buffer.sample(num_rows)
         demos, latents = pairs["amp_obs"], self._eval_enc(pairs["amp_obs_near"])
         if self._amp.latent_sharpness > 0.0:
-            # Demonstrations have the policy's share of random latents. Each random latent is paired
-            # with a row of the clips whose own latent is near, which gives every latent a motion.
+            # Random latents have the same share here as in the policy's episodes. Each random
+            # latent is paired with an AMP observation of the clips whose inferred latent is
+            # similar, so that every latent has a motion.
             fresh, chosen = self._clip_latents.random(num_rows, latents.device)
             near = sample_similar_rows(fresh, latents[:_NEIGHBOURS], self._amp.latent_sharpness)
             of_clips = torch.zeros(num_rows, 1, dtype=torch.bool, device=latents.device)
@@ -272,7 +275,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if self._amp_replay_buffer.get_total_count() > 0:
             fakes = self._amp_replay_buffer.sample(num_rows)
         num = round(self._amp.disc_mismatched_demos * num_rows)
-        # Rows are in random order, and the previous row is any other row.
+        # The order is random, and the previous row is therefore a random other row.
         mismatched = {"amp_obs": demos, "amp_obs_latents": latents.roll(1, dims=0)}
         for name, rows in mismatched.items():
             mixed = torch.cat((rows[:num], fakes[name][num:]))
@@ -280,7 +283,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         batch_dict |= {"amp_obs_demo": demos, "amp_obs_demo_latents": latents}
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
-        """Fill the dataset, including the latents of policy and discriminator."""
+        """Fill the dataset, and add the latents for policy and discriminator."""
         super().prepare_dataset(batch_dict)
         rows = self.dataset.values_dict
         rows["amp_latents"] = rows["amp_obs_latents"] = batch_dict["amp_latents"]
@@ -294,12 +297,12 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         self._store_replay_amp_obs(batch_dict["amp_obs"], **others)
 
     def _dataset_row_limits(self) -> dict[str, int]:
-        """Limit the latents of AMP observations like the AMP observations."""
+        """Limit the latents of AMP observations to as many rows as the AMP observations."""
         own = dict.fromkeys(("amp_obs_latents", *_DISC_LATENTS), self._amp_minibatch_size)
         return {**super()._dataset_row_limits(), **own}
 
     def prepare_minibatch(self, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Add new latents for the diversity loss, and triples for the encoder's clip losses."""
+        """Add latents for the diversity loss and AMP observations for the encoder's losses."""
         rows = super().prepare_minibatch(minibatch)
         if self._enable_amp_diversity_bonus():
             rows["diversity_latents"] = self._sample_latents(len(minibatch["amp_latents"]))
@@ -308,10 +311,10 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return rows
 
     def _draw_demo_triples(self) -> Tensor:
-        """Return normalised AMP observations (n, 3, F): two near moments of a clip, another row."""
+        """Return normalised AMP observations (n, 3, F): two nearby times of a clip, one other."""
         demos = self._amp_obs_demo_buffer.sample(max(1, self._amp_minibatch_size // 2))
         pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
-        # Rows are in random order, and the previous row is any other row.
+        # The order is random, and the previous row is therefore a random other row.
         others = pairs[:, :1].roll(1, dims=0)
         return self._preproc_amp_obs(torch.cat((pairs, others), dim=1))
 
@@ -342,11 +345,11 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return terms
 
     def _clip_encoding_losses(self, triples: Tensor) -> LossTerms:
-        """Return the encoder's losses of clips, given rows of `_draw_demo_triples`.
+        """Return the encoder's losses on clips, given the triples of `_draw_demo_triples`.
 
-        Alignment brings the latents of near moments together, and uniformity spreads all latents
-        over the sphere. See Wang and Isola 2020 (arXiv 2005.10242), eq. 1, and eq. 2 without the
-        logarithm.
+        The alignment loss makes the latents of two nearby times similar, and the uniformity loss
+        spreads all latents over the sphere. See Wang and Isola 2020 (arXiv 2005.10242), eq. 1, and
+        eq. 2 without the logarithm.
         """
         found = self.model.a2c_network.eval_enc(triples.flatten(0, 1)).float()
         at, near, other = found.view(*triples.shape[:2], -1).unbind(dim=1)
@@ -372,16 +375,17 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         ase_latents: Tensor,
         new_latents: Tensor | None = None,
     ) -> Tensor:
-        """Return squared errors (n,) of the change of actions between two latents.
+        """Return the diversity loss (n,), which compares changes of actions and of latents.
 
-        (target - |a - a'|^2 / A / (0.5 - 0.5 z . z' + 1e-5))^2 with actions clamped to +-1 (ASE,
-        eq. 14, as in its published code). Several threads call this method.
+        The loss is (target - |a - a'|^2 / A / (0.5 - 0.5 z . z' + 1e-5))^2; the actions a and a'
+        under the latents z and z' are clamped to +-1 (ASE, eq. 14, as in its published code).
+        Several threads call this method.
 
         Args:
             obs: (n, O) normalised observations.
             action_params: (n, A) mean actions under `ase_latents`.
             ase_latents: (n, Z) latents z.
-            new_latents: (n, Z) latents z'; None draws them here.
+            new_latents: (n, Z) latents z'. If `new_latents` is None, this method draws them.
         """
         new_z = self._sample_latents(len(obs)) if new_latents is None else new_latents
         other_mu, _ = self._eval_actor(obs, new_z)
@@ -398,7 +402,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
 def make_evaluation_schedule(
     params: GenAMPParams, env: SkillEnv, encoder: SkillEncoder, device: str | torch.device
 ) -> LatentSchedule:
-    """Return the latent schedule of a played task, which draws latents as in training."""
+    """Return a latent schedule for playing a task, which draws latents like in training."""
     clip_latents = ClipLatents(
         params.clip_latents,
         params.latent_dim,

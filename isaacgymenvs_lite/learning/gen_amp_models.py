@@ -1,4 +1,4 @@
-"""The AMP model with the encoder's outputs."""
+"""The AMP model, which also returns the encoder's outputs."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
 class ModelGenAMPContinuous(ModelAMPContinuous):
     """`model: name: continuous_gen_amp`, `gen_amp` or `ase`.
 
-    Every input has `amp_latents` (n, Z) and `obs`. A training input with AMP observations also has
-    `amp_obs_latents` (K, Z), the latents of `amp_obs` (K, F). Its outputs include `enc_pred` (K,
-    Z), unit vectors, and, with `enc_gradient` True, `enc_gradient` (K, F), the gradients of the
-    encoder's error by `amp_obs`. A conditional discriminator also needs `amp_obs_replay_latents`
-    and `amp_obs_demo_latents` (K, Z).
+    Every input has `obs` and `amp_latents` (n, Z). A training input with `amp_obs` (K, F) also has
+    `amp_obs_latents` (K, Z), the policy's latents for `amp_obs`. The outputs then include
+    `enc_pred` (K, Z), the inferred unit vectors. If the input `enc_gradient` is True, the output
+    `enc_gradient` (K, F) is the gradient of the encoder's error with respect to `amp_obs`. A
+    conditional discriminator also needs `amp_obs_replay_latents` and `amp_obs_demo_latents` (K, Z).
     """
 
     class Network(ModelAMPContinuous.Network):
-        """The model's module; `a2c_network` is the GenAMP network."""
+        """The model as a torch module, whose `a2c_network` is the GenAMP network."""
 
         def forward(self, input_dict: dict[str, Any]) -> dict[str, Any]:
-            """Act (`is_train` False) or evaluate a minibatch; see the class docstring."""
+            """Act if `is_train` is False; otherwise evaluate a minibatch."""
             result = super().forward(input_dict)
             if not (input_dict.get("is_train", True) and "amp_obs_latents" in input_dict):
                 return result

@@ -1,7 +1,7 @@
 """The GenAMP network: the AMP network with skill latents and an encoder.
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
-Parameters have ASE's names, and its checkpoints load.
+The parameters have the names in ASE's checkpoints, which can be loaded.
 """
 
 from __future__ import annotations
@@ -21,15 +21,16 @@ from isaacgymenvs_lite.learning.published_names import NETWORK_NAMES, PublishedN
 from isaacgymenvs_lite.learning.skills.latents import sample_latents
 
 _STYLE_UNITS = (512, 256)
-# Styles start spread over tanh's range, and the encoder near one point of the sphere (as in ASE).
+# The initial weights spread styles over tanh's range, and the encoder's outputs around one point of
+# the sphere (as in ASE).
 _STYLE_INIT_SCALE = 1.0
 ENC_LOGIT_INIT_SCALE = 0.1
 
 
 class StyleMLP(PublishedNames, nn.Module):
-    """The actor's trunk: layers over the observation and a style, which encodes the latent.
+    """The actor's hidden layers; their input is the observation and a style (an encoded latent).
 
-    style(z) = tanh(W MLP(z)) has the latent's dimension; `style_units` are the sizes of MLP.
+    style(z) = tanh(W MLP(z)) has the latent's dimension; `style_units` are the layer sizes of MLP.
     """
 
     replaced: ClassVar[dict[str, str]] = NETWORK_NAMES
@@ -55,7 +56,7 @@ class StyleMLP(PublishedNames, nn.Module):
         return torch.tanh(self._style_dense(self._style_mlp(latents)))
 
     def forward(self, obs: Tensor, latents: Tensor, use_hidden_latents: bool = False) -> Tensor:
-        """Return features (n, units[-1]); with `use_hidden_latents` the latents are styles."""
+        """Return the outputs (n, units[-1]); if `use_hidden_latents`, `latents` are styles."""
         style = latents if use_hidden_latents else self.eval_style(latents)
         features = torch.cat((obs, style), dim=-1)
         for layer in self._dense_layers:
@@ -64,7 +65,7 @@ class StyleMLP(PublishedNames, nn.Module):
 
 
 class LatentMLP(PublishedNames, nn.Module):
-    """The critic's trunk: layers over the observation and the latent itself."""
+    """The critic's hidden layers; their input is the observation and the latent."""
 
     replaced: ClassVar[dict[str, str]] = NETWORK_NAMES
 
@@ -73,33 +74,33 @@ class LatentMLP(PublishedNames, nn.Module):
         self._mlp = layers
 
     def forward(self, obs: Tensor, latents: Tensor) -> Tensor:
-        """Return features (n, units[-1])."""
+        """Return the outputs (n, units[-1])."""
         return self._mlp(torch.cat((obs, latents), dim=-1))
 
 
 class GenAMPBuilder(AMPBuilder):
     """Builds the network of the section `network:` with `name: gen_amp` or `ase`.
 
-    Its parameters are AMPBuilder's, with `actor_mlp._style_mlp, ._style_dense, ._dense_layers`,
-    `critic_mlp._mlp`, `_enc_mlp` and `_enc`.
+    The network has AMPBuilder's parameters, and `actor_mlp._style_mlp, ._style_dense,
+    ._dense_layers`, `critic_mlp._mlp`, `_enc_mlp` and `_enc`.
     """
 
     class Network(AMPBuilder.Network):
         """Actor, critic, discriminator and encoder.
 
         Args:
-            params: the section `network:`. The encoder shares the discriminator's layers, and
-                `enc.units` is ignored, if `enc.separate` is False. Three keys are new here.
-                `style.units` are the layers over the latent (default: ASE's [512, 256]).
-                `latent_scale` is the length of the networks' latents (default 1).
-                `disc.conditional` makes the latent an input of the discriminator, which then judges
-                whether the motion shows this skill (CALM, Tessler et al. 2023, arXiv 2305.02195,
-                section 4.2).
+            params: the section `network:`. If `enc.separate` is False, the encoder shares the
+                discriminator's layers and `enc.units` is ignored. Three keys are new here.
+                `style.units` are the sizes of the layers that encode the latent (default: ASE's
+                [512, 256]). `latent_scale` is the length to which networks scale their latents
+                (default 1). If `disc.conditional` is True, the latent is an input of the
+                discriminator, which then judges whether the motion fits the latent (CALM, Tessler
+                et al. 2023, arXiv 2305.02195, section 4.2).
             kwargs: AMPBuilder's arguments, and `amp_latent_shape` (or ASE's `ase_latent_shape`),
-                (Z,). (Z,).
+                which is (Z,).
 
         Attributes:
-            disc_is_conditional: whether `eval_disc` takes latents.
+            disc_is_conditional: whether `eval_disc` needs latents.
         """
 
         row_functions = (*AMPBuilder.Network.row_functions, "eval_enc", "eval_enc_with_gradient")
@@ -113,7 +114,8 @@ class GenAMPBuilder(AMPBuilder):
                     "train.params.network.separate=False: actor and critic share layers, but only"
                     " the actor encodes the latent as a style; set it to True"
                 )
-            # The base's constructor builds the discriminator, which needs these values.
+            # The attributes are set before the base class' constructor, which builds the
+            # discriminator from them.
             self._latent_dim = int(latent_shape[0])
             self._latent_scale = float(params.get("latent_scale", 1.0))
             super().__init__(params, **kwargs)
@@ -134,14 +136,14 @@ class GenAMPBuilder(AMPBuilder):
                 )
             enc = params["enc"]
             self._enc_separate = bool(enc.get("separate", False))
-            # Only a separate encoder reads these keys.
+            # The keys of the section `enc` are only used for a separate encoder.
             self._enc_units = list(enc["units"] if self._enc_separate else enc.get("units") or ())
             self._enc_activation = enc["activation"] if self._enc_separate else ""
             self._enc_initializer = enc.get("initializer", DEFAULT_INITIALIZER)
             self.disc_is_conditional = bool(params["disc"].get("conditional", False))
 
         def _build_trunks(self, params: dict[str, Any], obs_size: int) -> None:
-            """Replace the trunks of actor and critic by trunks with latents."""
+            """Replace the hidden layers of actor and critic by layers with latents as inputs."""
             mlp = params["mlp"]
             how = (mlp["activation"], mlp.get("initializer", DEFAULT_INITIALIZER))
             style_units = list(params.get("style", {}).get("units", _STYLE_UNITS))
@@ -201,8 +203,8 @@ class GenAMPBuilder(AMPBuilder):
         ) -> tuple[Tensor, Tensor]:
             """Return mean actions and log standard deviations (n, A).
 
-            `obs` (n, O) are normalised. The latents (n, Z), which `ase_latents` also names, are
-            unit vectors, or styles with `use_hidden_latents`.
+            `obs` (n, O) are normalised. The latents (n, Z) are unit vectors, or styles if
+            `use_hidden_latents` is True; `ase_latents` is ASE's name of this argument.
             """
             latents = _one_of(amp_latents, ase_latents)
             if not use_hidden_latents:
@@ -217,7 +219,7 @@ class GenAMPBuilder(AMPBuilder):
             *,
             ase_latents: Tensor | None = None,
         ) -> Tensor:
-            """Return normalised values (n, values) for the latent itself, as in ASE."""
+            """Return normalised values (n, values); like in ASE, the critic does not use styles."""
             del use_hidden_latents
             latents = self._latent_scale * _one_of(amp_latents, ase_latents)
             return self.value_act(self.value(self.critic_mlp(obs, latents)))
@@ -228,11 +230,11 @@ class GenAMPBuilder(AMPBuilder):
             return super().eval_disc(torch.cat((amp_obs, *scaled), dim=-1))
 
         def eval_enc(self, amp_obs: Tensor) -> Tensor:
-            """Return the latents (n, Z) inferred from normalised AMP observations, unit vectors."""
+            """Return unit vectors (n, Z), the latents inferred from normalised AMP observations."""
             return F.normalize(self._enc(self._enc_mlp(amp_obs)), dim=-1)
 
         def eval_enc_with_gradient(self, amp_obs: Tensor, latents: Tensor) -> tuple[Tensor, Tensor]:
-            """Return `eval_enc` q(x) and the gradients (n, F) of -q(x) . z by x, differentiable."""
+            """Return latents q(x) and the differentiable gradients (n, F) of -q(x) . z to x."""
             with torch.enable_grad():
                 amp_obs = amp_obs.detach().requires_grad_()
                 found = self.eval_enc(amp_obs)

@@ -1,4 +1,4 @@
-"""Players of policies that act under skill latents."""
+"""Players of policies that receive skill latents."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from isaacgymenvs_lite.learning.published_names import ReadOnly
 from isaacgymenvs_lite.learning.skills.latents import EvaluationLatents
 
 log = logging.getLogger(__name__)
-# Control steps between two windows of motion in an environment.
+# Number of control steps between two sampled motion windows (sequences of poses) of an environment.
 _STRIDE = 10
 
 
@@ -32,18 +32,18 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
     """The player of `gen_amp` and `ase`.
 
     The key `latent` of `train.params.config.player` (`latent=` for `train.py`) has three forms.
-    `random`, the default, draws new latents at resets and after random numbers of steps, as in
-    training. `interpolate` moves gradually from latent to latent. A .npy file (K, latent_dim) fixes
-    the latents: environment i always acts under row i mod K.
+    `random`, the default, draws new latents at resets and after random numbers of steps, as
+    training does. `interpolate` moves gradually from each latent to the next. A .npy file (K,
+    latent_dim) fixes the latents: environment i always uses row i mod K.
 
     Attributes:
         encoder: infers latents from motion.
-        current_latents: (N, Z) latents of the last step.
-        skills: the result of `run` about skills. It is None before `run`, if all episodes were too
+        current_latents: (N, Z) latents in the last control step.
+        skills: the skills that `run` measured, or None before `run`, if all episodes were too
             short, or if the task is no `ClipWindowsEnv`.
 
     Raises:
-        ConfigError: `latent` has none of these forms, or another dimension.
+        ConfigError: `latent` has none of these forms, or the file's latents have another dimension.
     """
 
     _latent_dim = ReadOnly("_amp.latent_dim")
@@ -73,7 +73,7 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
         return {**super()._build_net_config(), **self._sizes_of_inputs(self.env)}
 
     def _latents_of(self, latent: str) -> Callable[[Tensor], Tensor]:
-        """Return a function from the episodes' control steps (N,) to latents (N, Z)."""
+        """Return a function from the control step of each episode (N,) to latents (N, Z)."""
         task = require(self.env, SkillEnv, "a policy with skill latents")
         if latent in ("random", "interpolate"):
             schedule = make_evaluation_schedule(self._amp, task, self.encoder, self.device)
@@ -93,7 +93,7 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
         return (self.current_latents,)
 
     def _measure(self) -> None:
-        """Play and measure; log which skills the motion shows."""
+        """Play, measure the result, and log how much of the motion resembles each clip."""
         super()._measure()
         self.skills = self._probe.result() if self._probe is not None else None
         if self.skills is not None:
@@ -106,11 +106,11 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
 
 
 def read_latents(file: Path, latent_dim: int) -> Tensor:
-    """Read one or several latents (K, latent_dim) from a .npy file, and scale them to length 1."""
+    """Read K latents (K, latent_dim) from a .npy file, and scale them to length 1."""
     try:
         array = np.load(file, allow_pickle=False)
         rows = torch.from_numpy(np.atleast_2d(array).astype(np.float32))
-    except Exception as error:  # The reader may raise anything for a file of another kind.
+    except Exception as error:  # For a file of another kind, the reader may raise any exception.
         raise ConfigError(
             f"latent={file}: {one_line(error)}; expected random, interpolate or a .npy file"
         ) from error
@@ -130,10 +130,11 @@ class SkillResult:
     """The skills of a policy.
 
     Attributes:
-        clips: shares of the motion that resemble each clip.
-        encoder_reward: mean encoder reward for the latents of the motion.
-        shuffled_reward: mean encoder reward for latents of other environments and times. Motion
-            that does not depend on its latent would get this reward.
+        clips: share of the policy's motion that resembles each clip.
+        encoder_reward: mean encoder reward of the motion for the policy's own latents.
+        shuffled_reward: mean encoder reward of the motion for latents of other environments and
+            times. `encoder_reward` and `shuffled_reward` are equal if the motion does not depend on
+            the latent.
     """
 
     clips: ClipShares
@@ -141,7 +142,7 @@ class SkillResult:
     shuffled_reward: float
 
     def __str__(self) -> str:
-        """Return one line for users."""
+        """Return a line of text for users."""
         return (
             f"{self.clips}; encoder reward {self.encoder_reward:.3f}"
             f" ({self.shuffled_reward:.3f} with shuffled latents)"
@@ -149,7 +150,7 @@ class SkillResult:
 
 
 class SkillProbe:
-    """Collects windows of motion and their latents during a play."""
+    """Collects motion windows (sequences of poses) and their latents while a policy is played."""
 
     def __init__(self, env: ClipWindowsEnv, encoder: SkillEncoder) -> None:
         self._env = env
@@ -160,17 +161,17 @@ class SkillProbe:
         self._steps = 0
 
     def step(self, latents: Tensor, amp_obs: Tensor) -> None:
-        """Store a step before resets: latents (N, Z) and the AMP observations (N, F) after it."""
+        """Store latents (N, Z) and resulting AMP observations (N, F); call this before resets."""
         self._steps += 1
         if self._steps % _STRIDE:
             return
-        # Frames before the start of an episode are not the policy's.
+        # Frames before the start of an episode do not come from the policy.
         own = self._env.progress_buf >= self._history_steps
         self._windows.append(amp_obs[own.to(amp_obs.device)])
         self._latents.append(latents[own.to(latents.device)])
 
     def result(self) -> SkillResult | None:
-        """Return the skills; None if all episodes were shorter than a window."""
+        """Return the measured skills, or None if all episodes were shorter than a motion window."""
         if not any(len(windows) for windows in self._windows):
             return None
         windows, latents = torch.cat(self._windows), torch.cat(self._latents)

@@ -35,16 +35,16 @@ from isaacgymenvs_lite.learning.skills.low_level_policy import (
 )
 from isaacgymenvs_lite.utils.state import Stateful
 
-# Train file for the keys that a flat configuration omits.
+# A flat configuration takes omitted keys from this train file.
 _DEFAULTS = "HumanoidASEHRLPPO"
-# Types of configuration values; all other values of a flat configuration are objects.
+# Values of these types in a flat configuration are settings; other values are Python objects.
 _PLAIN = (str, int, float, bool, dict, list, tuple, type(None))
 _ENV_NAME = "rlgpu"
 _NUM_ACTORS = 64
 
 
 class OverLowLevel:
-    """Mixin of agent and player: a policy whose actions are latents of a low-level controller.
+    """Mixin of the agent and the player whose actions are latents of a low-level controller.
 
     Attributes:
         llc: the low-level controller.
@@ -63,7 +63,7 @@ class OverLowLevel:
     _llc_agent = ReadOnly("llc", "_build_llc, which returns it")
 
     def _build_llc(self, params: HRLParams) -> LowLevelPolicy:
-        """Return the low-level controller that the keys name."""
+        """Load and return the low-level controller that the keys in `params` name."""
         return LowLevelPolicy(
             params.llc_config,
             llc_checkpoint_for(params.llc_checkpoint, self._section),
@@ -73,17 +73,17 @@ class OverLowLevel:
         )
 
     def _build_llc_agent_config(self) -> LowLevelSizes:
-        """Return the low-level controller's sizes in this task."""
+        """Return sizes of the low-level controller's observations and actions in this task."""
         return LowLevelSizes.from_task(
             require(self._env, HierarchyEnv, "train.params.algo: a hierarchy")
         )
 
     def _extract_llc_obs(self, obs: Tensor) -> Tensor:
-        """Return observations (N, O) without the task's features."""
+        """Remove the task features from observations (N, O)."""
         return self.llc.extract_obs(obs)
 
     def _compute_llc_action(self, obs: Any, actions: Tensor) -> Tensor:
-        """Return the task's actions (N, A) under the latents that `actions` (N, Z) point to."""
+        """Return the task's actions (N, A), given high-level actions (N, Z)."""
         rows = obs["obs"] if isinstance(obs, dict) else obs
         return self.llc.actions(self._extract_llc_obs(rows), latents_of_actions(actions))
 
@@ -91,17 +91,18 @@ class OverLowLevel:
 class HRLAgent(OverLowLevel, CommonAgent):
     """The agent of `algo: name: hrl` or `hrl_continuous`.
 
-    A step of the high level is `llc_steps` control steps under one latent, and its reward is their
-    mean. The remaining control steps after the end of an episode earn nothing, and the reset
-    follows the last control step. The task is a `HierarchyEnv`.
+    A high-level step consists of `llc_steps` control steps under one latent, and its reward is the
+    mean of their rewards. If an episode ends during a high-level step, the remaining control steps
+    of the high-level step get no reward, and the environment is reset after the last control step.
+    The task is a `HierarchyEnv`.
 
     Attributes:
-        style_rewards: (N, 1) the low level's style rewards of the last step.
+        style_rewards: (N, 1) style rewards of the low-level controller in the last high-level step.
 
     `params` may be a flat configuration; see `complete_params`.
 
     Raises:
-        ConfigError: a value cannot be used, or the train file has no low-level controller.
+        ConfigError: a value cannot be used, or the train file names no low-level controller.
         CheckpointError: the low-level controller is missing, or does not fit its file or the task.
     """
 
@@ -127,7 +128,7 @@ class HRLAgent(OverLowLevel, CommonAgent):
         super().__init__(base_name, complete_params(given_params(params, config), _DEFAULTS))
 
     def load_networks(self, params: dict[str, Any]) -> None:
-        """Build the section's network, unless the configuration already holds one."""
+        """Build the network of the section, unless the configuration contains a network object."""
         if "network" not in self.config:
             super().load_networks(params)
 
@@ -139,11 +140,11 @@ class HRLAgent(OverLowLevel, CommonAgent):
         self.llc = self._build_llc(self._hrl)
         self.control_steps_per_action = self._hrl.llc_steps
         self.style_rewards = torch.zeros(self.num_actors, 1, device=self.ppo_device)
-        # The published reward depends on the motion alone.
+        # A subclass may have the published `_calc_disc_reward`, which gets AMP observations only.
         self._disc_reward_takes_latents = accepts(self._calc_disc_reward, 2)
 
     def _setup_action_space(self) -> None:
-        """Make latents the actions; before this call the action space is the task's."""
+        """Replace the task's action space by a space of latents."""
         self.env_info = {**self.env_info, "action_space": latent_space(self.llc.latent_dim)}
         super()._setup_action_space()
 
@@ -160,14 +161,14 @@ class HRLAgent(OverLowLevel, CommonAgent):
         return {**super().get_full_state_weights(), LLC_KEY: self.llc.reference}
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Load a checkpoint; warn if it was trained over another low-level controller."""
+        """Load a checkpoint, and warn if it was trained with another low-level controller."""
         super().set_full_state_weights(weights, set_epoch)
         warn_of_another_llc(weights, self.llc.reference, self._restored_from)
 
     # --- rollout ---------------------------------------------------------------------------
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Sample latents; `exploration_correlation` correlates the noise of consecutive steps."""
+        """Sample latents whose exploration noise is correlated in time."""
         result = super().get_action_values(obs)
         if self._hrl.exploration_correlation != 0.0:
             given = (result[name] for name in ("actions", "mus", "sigmas"))
@@ -179,18 +180,18 @@ class HRLAgent(OverLowLevel, CommonAgent):
         return actions.clamp(-1.0, 1.0)
 
     def _obs_tensor(self, obs: Any) -> Tensor:
-        """Return the tensor (N, O) of the environment's observations."""
+        """Return the environment's observations as a tensor (N, O)."""
         tensors: Any = self.obs_to_tensors(obs)
         return tensors["obs"] if isinstance(tensors, dict) else tensors
 
     def env_step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
-        """Make `llc_steps` control steps under one latent, `actions` (N, Z).
+        """Make `llc_steps` control steps under the latents `actions` (N, Z).
 
         Returns:
-            The last observation of each episode; mean rewards (N, 1); dones (N,), 1.0 where any
-            step ended the episode; and the infos of the last step. Their `terminate` is 1 where the
-            episode ended in failure, and `diverged` is True where the simulation diverged before
-            that.
+            Observations (N, O), which for an ended episode are its last ones; mean rewards (N, 1);
+            dones (N,), which are 1.0 where an episode ended in any control step; and the infos of
+            the last control step. `terminate` in the infos is 1 where an episode ended in failure,
+            and `diverged` is True where the simulation diverged before the episode ended.
         """
         actions = self.preprocess_actions(actions)
         obs = self._obs_tensor(self.obs)
@@ -202,7 +203,7 @@ class HRLAgent(OverLowLevel, CommonAgent):
         infos: dict[str, Any] = {}
         reset_buf = self._env.reset_buf
         for _ in range(self._hrl.llc_steps):
-            reset_buf.zero_()  # An ended episode continues until the last step.
+            reset_buf.zero_()  # An ended episode goes on until the last step.
             raw_obs, step_rewards, dones, infos = self.vec_env.step(
                 self._compute_llc_action(obs, actions)
             )
@@ -219,13 +220,14 @@ class HRLAgent(OverLowLevel, CommonAgent):
                 diverged |= in_step & going_on.bool()
             going_on *= 1.0 - dones.float()
         self.style_rewards /= self._hrl.llc_steps
-        # Later steps may have cleared the flag of an earlier end.
+        # The flag is set again, because control steps after the end of an episode may have cleared
+        # it.
         reset_buf.masked_fill_((going_on == 0.0).to(reset_buf.device), 1)
         infos = {**infos, "terminate": terminate, "diverged": diverged}
         return {"obs": obs}, rewards / self._hrl.llc_steps, 1.0 - going_on, infos
 
     def _calc_disc_reward(self, amp_obs: Tensor, latents: Tensor | None = None) -> Tensor:
-        """Return the low level's style rewards (N, 1) if disc_reward_w is not 0."""
+        """Return the low-level controller's style rewards (N, 1) of AMP observations (N, F)."""
         return self.llc.style_reward(amp_obs, latents)
 
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
@@ -238,18 +240,18 @@ class HRLAgent(OverLowLevel, CommonAgent):
         return self._combine_rewards(task_rewards, style)
 
     def _combine_rewards(self, task_rewards: Tensor, disc_rewards: Tensor) -> Tensor:
-        """Return task_reward_w * task + disc_reward_w * style, (..., 1)."""
+        """Return the total rewards task_reward_w * task + disc_reward_w * style, (..., 1)."""
         return self._hrl.task_reward_w * task_rewards + self._hrl.disc_reward_w * disc_rewards
 
     def _track_episodes(
         self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
     ) -> None:
-        """Update episode statistics in control steps and their rewards."""
+        """Update episode statistics, which count control steps and sum their rewards."""
         steps = self._hrl.llc_steps
         super()._track_episodes(steps * rewards, steps * shaped_rewards, infos)
 
     def mean_policy(self, env: Env) -> Callable[[dict[str, Tensor]], Tensor]:
-        """Return a policy without noise that makes one control step per call."""
+        """Return the policy without exploration noise, which is called once per control step."""
 
         def choose(obs: Tensor) -> Tensor:
             means = self._evaluate_policy({"obs": obs}, {})["mus"].float()
@@ -260,15 +262,15 @@ class HRLAgent(OverLowLevel, CommonAgent):
 
 
 class CorrelatedNoise(Stateful):
-    """Correlates the noise of a Gaussian policy in time; each sample stays standard normal.
+    """Makes exploration noise correlated in time; each sample is still standard normal.
 
-    Independent noise on a latent would select another skill six times a second. The noise is a
-    first-order autoregressive process instead of the coloured noise of Hollenstein et al. 2024,
-    "Colored Noise in PPO" (arXiv 2312.11091). PPO's probability of an action still assumes
-    independent noise, as in the paper.
+    With independent noise, the latent selects another skill six times a second. Hollenstein et al.
+    2024, "Colored Noise in PPO" (arXiv 2312.11091) use coloured noise; this class uses a
+    first-order autoregressive process. Like in the paper, PPO computes action probabilities as if
+    the noise were independent.
 
     Args:
-        correlation: correlation of the noise of consecutive steps, 0 to below 1.
+        correlation: correlation between the noises of consecutive steps, 0 <= correlation < 1.
     """
 
     stored = ("_last",)
@@ -278,9 +280,9 @@ class CorrelatedNoise(Stateful):
         self._last: Tensor | None = None
 
     def apply(self, actions: Tensor, mus: Tensor, sigmas: Tensor) -> tuple[Tensor, Tensor]:
-        """Return actions (N, A) and their negative log probabilities (N,) under the policy.
+        """Return actions (N, A) with correlated noise and their negative log probabilities (N,).
 
-        `actions` are mean actions `mus` plus `sigmas` times standard normal noise, (N, A) each.
+        The argument `actions` is `mus` + `sigmas` * independent standard normal noise, (N, A) each.
         """
         noise = (actions - mus) / sigmas
         if self._last is not None:
@@ -293,19 +295,20 @@ class CorrelatedNoise(Stateful):
 
 
 def complete_params(params: Mapping[str, Any], train_file: str) -> dict[str, Any]:
-    """Return a complete section `params`, as rl_games' Runner passes it to an agent.
+    """Return a complete section `params`, which rl_games' Runner passes to an agent.
 
-    The published HRLAgent is constructed by hand, with a flat configuration.
+    Users of the published HRLAgent call its constructor with a flat configuration.
 
     Args:
-        params: a complete section, which is returned unchanged, or a flat configuration: keys of
-            the section's `config`, which replace the values of `train_file`. `network` may be a
-            section or an unbuilt model of rl_games. `vec_env` and `env_info` may be an existing
-            environment; otherwise `env_config` holds arguments of `isaacgymenvs_lite.make`.
-        train_file: name of the train file with the values of all other keys.
+        params: a complete section, which is returned unchanged, or a flat configuration. A flat
+            configuration has keys of the section's `config`, which replace the values in
+            `train_file`. `network` may be a section or a model of rl_games whose network is not
+            built yet. `vec_env` and `env_info` may be those of an existing environment; otherwise
+            `env_config` holds arguments of `isaacgymenvs_lite.make`.
+        train_file: name of the train file that contains all other keys.
 
     Raises:
-        ConfigError: a value cannot be used, or there is no environment to make.
+        ConfigError: a value cannot be used, or an environment is neither given nor described.
     """
     if isinstance(params.get("config"), Mapping):
         return dict(params)
@@ -314,7 +317,7 @@ def complete_params(params: Mapping[str, Any], train_file: str) -> dict[str, Any
     vec_env = objects.get("vec_env")
     if vec_env is not None:
         given.setdefault("num_actors", vec_env.env.num_envs)
-        # Spaces are objects, not configuration values.
+        # `env_info` contains spaces, which are objects and no settings.
         objects["env_info"] = given.pop("env_info", None) or vec_env.get_env_info()
     num_actors = int(given.setdefault("num_actors", _NUM_ACTORS))
     device = str(given.setdefault("device", "cpu"))
@@ -345,7 +348,7 @@ def _check_env(given: dict[str, Any], vec_env: Any, num_actors: int) -> None:
             f"env_name={name} is not registered with rl_games: call"
             " isaacgymenvs_lite.registration.build_runner() first, or give vec_env"
         )
-    # The caller's dictionary stays unchanged.
+    # A copy is made, so that the caller's dictionary does not change.
     env_config = given["env_config"] = dict(given.get("env_config") or {})
     if name == _ENV_NAME and "task" not in env_config:
         raise ConfigError(

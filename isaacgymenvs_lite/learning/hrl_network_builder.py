@@ -1,4 +1,4 @@
-"""The high-level policy's network: an actor-critic with mean actions within +-1."""
+"""The network of the high-level policy: an actor-critic with mean actions within +-1."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class HRLBuilder(A2CBuilder):
     """
 
     class Network(ActorCriticNetwork):
-        """Actor and critic; mean actions are tanh of the actor's output, as in ASE."""
+        """Actor and critic; the mean action is the tanh of the actor's output, like in ASE."""
 
         def _act_on(self, features: Tensor) -> tuple[Tensor, Tensor]:
             mu, logstd = super()._act_on(features)

@@ -1,4 +1,4 @@
-"""The player of hierarchies: a high-level policy chooses latents for the frozen low level."""
+"""The player of hierarchies: a high-level policy chooses latents for a frozen low-level policy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from isaacgymenvs_lite.learning.skills.latents import latent_space
 
 
 class HRLPlayer(OverLowLevel, CommonPlayer):
-    """The player of `hrl` and `hrl_continuous`, which reports the task's reward."""
+    """The player of `hrl` and `hrl_continuous`; it reports the task reward."""
 
     def __init__(self, params: dict[str, Any]) -> None:
         self._section = params
@@ -28,7 +28,7 @@ class HRLPlayer(OverLowLevel, CommonPlayer):
         )
 
     def _setup_action_space(self) -> None:
-        """Build the low-level controller, and make its latents the policy's actions."""
+        """Build the low-level controller; its latents become the high-level policy's actions."""
         self._env, self._llc_device = self.env, self.device
         self._precision = self.config.get("mixed_precision", False)
         self.llc = self._build_llc(self._hrl)
@@ -36,7 +36,7 @@ class HRLPlayer(OverLowLevel, CommonPlayer):
         super()._setup_action_space()
 
     def restore(self, fn: str) -> dict[str, Any]:
-        """Load the high-level policy from a checkpoint, and return its entries."""
+        """Load the high-level policy from a checkpoint, and return the checkpoint's entries."""
         state = super().restore(fn)
         warn_of_another_llc(state, self.llc.reference, fn)
         return state

@@ -1,4 +1,4 @@
-"""rl_games' PPO with this project's fast networks on CPUs, and its player."""
+"""rl_games' PPO agent with this project's fast networks for CPUs, and its player."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from isaacgymenvs_lite.utils.threads import one_torch_thread
 class PPOAgent(PPOSafeguards):
     """The agent of `algo: name: a2c_continuous`, with rl_games' loops, losses and checkpoints.
 
-    On a CPU a `ParallelNetwork` evaluates the networks, including an asymmetric critic. Transitions
-    of simulations that diverged are left out of the update; see `diverged`.
+    On a CPU, `ParallelNetwork` evaluates the networks, including an asymmetric critic. Transitions
+    of diverged simulations are left out of the update; see `diverged`.
     """
 
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
@@ -35,13 +35,13 @@ class PPOAgent(PPOSafeguards):
         device = torch.device(config.get("device", "cuda:0"))
         precision = config.get("mixed_precision", False)
         on_cpu = device.type == "cpu"
-        # rl_games' key means CUDA autocast with a gradient scaler.
+        # In rl_games this key selects CUDA autocast with a gradient scaler, which is not used here.
         config["mixed_precision"] = not on_cpu and resolve_mixed_precision(precision, device)
         leave_out_nccl(config)
         config["torch_compile"] = torch_compile_setting(
             config.get("torch_compile"), device.type, can_compile=True
         )
-        with one_torch_thread():  # The last bits of orthogonal initialisers depend on the threads.
+        with one_torch_thread():  # Orthogonal initialisers depend on the number of threads.
             super().__init__(base_name, params)
         self._mask = RolloutMask(self.horizon_length)
         self._meters = EpisodeMeters(self, ("game_rewards", "game_shaped_rewards", "game_lengths"))
@@ -56,15 +56,15 @@ class PPOAgent(PPOSafeguards):
     def env_reset(self) -> Any:
         """Reset the environment at the start of training.
 
-        torch's own threads would slow down the small operations between sliced networks, and would
-        make recurrent networks differ from run to run with deterministic algorithms.
+        torch then uses one thread, because more threads slow down small operations, and recurrent
+        networks with several threads give different results in each run.
         """
         if self._sliced or torch.are_deterministic_algorithms_enabled():
             torch.set_num_threads(1)
         return super().env_reset()
 
     def env_step(self, actions: Tensor) -> Any:
-        """Step the task, and record diverged simulations."""
+        """Step the task, and record which simulations diverged."""
         result: Any = super().env_step(actions)
         *_, dones, infos = result
         diverged = diverged_in(infos, self.ppo_device)
@@ -73,7 +73,7 @@ class PPOAgent(PPOSafeguards):
         return result
 
     def mean_policy(self, env: Env) -> Callable[[dict[str, Tensor]], Tensor]:
-        """Return the policy without noise for `env`, another task of the same kind."""
+        """Return the policy without exploration noise for `env`, another task of the same kind."""
         self.set_eval()
         of_training: Any = self.rnn_states or []
         states: Any = [  # (layers, N, units)
@@ -84,7 +84,7 @@ class PPOAgent(PPOSafeguards):
         def act(obs: dict[str, Tensor]) -> Tensor:
             nonlocal states
             tensors: Any = self.obs_to_tensors(obs)
-            if states:  # New episodes start with empty states.
+            if states:  # New episodes start with zero states.
                 lasting = (env.progress_buf > 0).to(self.ppo_device).view(1, -1, 1)
                 states = [state * lasting for state in states]
             result = self.model(
@@ -102,14 +102,14 @@ class PPOAgent(PPOSafeguards):
         return act
 
     def discount_values(self, *rollout: Tensor) -> Any:
-        """Return advantages (H, N, values), which are zero where a simulation diverged."""
+        """Return advantages (H, N, values), which are zero in steps where a simulation diverged."""
         kept = self._mask.kept
         if kept is None:
             return super().discount_values(*rollout)
         return self.discount_values_masks(*rollout, mb_masks=kept.float())
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
-        """Fill the dataset with the rows whose simulation did not diverge."""
+        """Fill the dataset with the transitions in which no simulation diverged."""
         kept = self._mask.kept
         if kept is not None:
             flat = swap_and_flatten01(kept)
@@ -128,7 +128,7 @@ class PPOAgent(PPOSafeguards):
             self.dataset.values_dict["advantages"] = normalized
 
     def train_actor_critic(self, input_dict: dict[str, Any]) -> Any:
-        """Take a gradient step; a recurrent policy's losses are means over unmasked rows."""
+        """Take a gradient step; for a recurrent policy, losses are means over unmasked rows."""
         masks = input_dict.get("rnn_masks")
         if masks is not None:
             input_dict["rnn_masks"] = masks / masks.mean().clamp(min=1.0 / len(masks))
@@ -144,7 +144,7 @@ class PPOPlayer(EpisodePlayer, RestoringPlayer, PpoPlayerContinuous):
         self.init_rnn()
 
     def on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
-        """Reset the recurrent states of ended episodes, dones (N,)."""
+        """Reset the recurrent states of environments whose episode ended, dones (N,)."""
         if self.is_rnn:
             ended = dones.nonzero().flatten()
             for state in self.states:  # (layers, N, units)

@@ -1,7 +1,7 @@
-"""Explains published methods and attributes of IsaacGymEnvs' and ASE's agents that are absent here.
+"""Explains which names replace those names of IsaacGymEnvs' and ASE's agents that are missing here.
 
-A subclass may override a method that nothing calls here, and would silently train without it. Its
-class statement raises an error instead. docs/migration.md lists all published names.
+A user's subclass may override a published method that this project never calls. The class statement
+of such a subclass raises an error. docs/migration.md lists all published names.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ _BUILD_LLC = "_build_llc(params) returns the LowLevelPolicy of the keys llc_conf
 _LLC_SIZES = "_build_llc_agent_config() returns the LowLevelSizes of the task"
 _NO_COLOUR = "viewers here do not colour characters by their latents"
 
-# Published name -> replacement. `name(argument)` is a method with this argument.
+# Keys are published names (`name(argument)` is a method with this argument); values are their
+# replacements.
 AGENT_NAMES = {
     "_amp_debug()": "_record_step(n, infos) gets infos['amp_obs'] of each step",
     "_build_llc(config_params)": _BUILD_LLC,
@@ -69,7 +70,7 @@ NETWORK_NAMES = {
 
 
 class PublishedNames:
-    """Mixin for classes with user subclasses: refuses overrides that nothing calls."""
+    """Mixin that raises an error if a user's subclass overrides a method that nothing calls."""
 
     replaced: ClassVar[dict[str, str]] = {}
 
@@ -89,7 +90,7 @@ class PublishedNames:
         for published, instead in cls.replaced.items():
             name, _, argument = published.removesuffix(")").partition("(")
             method = defined.get(name)
-            # A subclass with its own loop (`run`) may call any method.
+            # A subclass that overrides `run` may call any method itself.
             if not inspect.isfunction(method) or name in called or "run" in defined:
                 continue
             if not argument or argument in inspect.signature(method).parameters:
@@ -104,7 +105,7 @@ class PublishedNames:
 
 
 class ExplainedNames(PublishedNames):
-    """Mixin of agents and players: AttributeErrors name the replacement of a published name."""
+    """Mixin of agents and players: AttributeErrors name the replacement of a published method."""
 
     def __getattr__(self, name: str) -> Any:
         instead = self.replaced.get(name) or self.replaced.get(f"{name}()")
@@ -119,8 +120,9 @@ class ReadOnly:
     """A published attribute whose value is stored under another name.
 
     Args:
-        path: path of the value, relative to the object: `_amp.disc_coef`.
-        set_by: source of the value; by default the key of the same name.
+        path: path of the value from the object, for example `_amp.disc_coef`.
+        set_by: setting that determines the value; by default it is the key with the attribute's
+            name.
     """
 
     def __init__(self, path: str, set_by: str = "") -> None:
@@ -137,12 +139,12 @@ class ReadOnly:
         raise OverrideError(self.refusal(type(instance)))
 
     def refusal(self, cls: type) -> str:
-        """Return the message for an attempt to set the attribute."""
+        """Return the error message for an attempt to set the attribute."""
         return f"{cls.__name__}.{self._name} can only be read; its value comes from {self.set_by}"
 
 
 def accepts(function: Callable[..., Any], num_arguments: int) -> bool:
-    """Return whether a function can be called with this number of positional arguments."""
+    """Return whether a function accepts `num_arguments` positional arguments."""
     try:
         inspect.signature(function).bind(*range(num_arguments))
     except TypeError:

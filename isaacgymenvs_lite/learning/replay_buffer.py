@@ -1,4 +1,4 @@
-"""A ring buffer of rows of named tensors."""
+"""A ring buffer whose rows consist of named tensors."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from isaacgymenvs_lite.learning.published_names import PublishedNames
 
 
 class ReplayBuffer(PublishedNames):
-    """Holds the newest `buffer_size` rows, as IsaacGymEnvs' ReplayBuffer.
+    """Holds the newest `buffer_size` rows, like the ReplayBuffer of IsaacGymEnvs.
 
-    `sample` walks through a random permutation of all rows, and draws a new permutation at its end.
-    Every row is therefore seen once before any row is seen twice. While the buffer is not full,
-    indices are taken modulo the number of stored rows.
+    `sample` walks through a random permutation of all rows, and then draws a new permutation. Every
+    row is thus sampled once before any row is sampled twice. While the buffer is not full, indices
+    are taken modulo the number of stored rows.
     """
 
     def __init__(self, buffer_size: int, device: str | torch.device) -> None:
@@ -40,12 +40,12 @@ class ReplayBuffer(PublishedNames):
 
     @property
     def rows(self) -> dict[str, Tensor]:
-        """All stored rows {name: (n, ...)} in arbitrary order, which callers must not change."""
+        """All stored rows {name: (n, ...)} in arbitrary order; callers must not change them."""
         n = min(self._total_count, self._buffer_size)
         return {name: ring[:n] for name, ring in self._data_buf.items()}
 
     def store(self, data: dict[str, Tensor]) -> None:
-        """Append rows {name: (n, ...)}; every call has the same names and row shapes."""
+        """Append rows {name: (n, ...)}, whose names and row shapes are the same in every call."""
         n = len(next(iter(data.values())))
         if n == 0:
             return
@@ -70,7 +70,7 @@ class ReplayBuffer(PublishedNames):
     def store_some(self, data: dict[str, Tensor], keep_prob: float) -> None:
         """Append rows; once the buffer is full, store each row with probability `keep_prob`.
 
-        If more rows are left than the buffer holds, random ones are stored.
+        If there are more rows than the buffer holds, a random subset is stored.
         """
         values = next(iter(data.values()))
         rows = torch.arange(len(values), device=values.device)
@@ -93,15 +93,15 @@ class ReplayBuffer(PublishedNames):
         return {name: stored.index_select(0, rows) for name, stored in self._data_buf.items()}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the stored rows, and the positions of storing and sampling."""
-        # A slice is copied; otherwise a file would hold the whole ring.
+        """Return the stored rows, and the positions of the next stored and the next sampled row."""
+        # The slice is copied, because `torch.save` would write the whole ring for a slice.
         is_full = self._total_count >= self._buffer_size
         rows = {name: row if is_full else row.clone() for name, row in self.rows.items()}
         counts = [self._head, self._total_count, self._sample_head]
         return {"rows": rows, "counts": counts, "order": self._sample_idx.cpu().clone()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the rows of a buffer of the same size."""
+        """Restore the rows of another buffer, which must have the same size."""
         rows, order = state["rows"], state["order"]
         if not torch.equal(order.sort().values, torch.arange(self._buffer_size)):
             raise ValueError(f"a replay buffer of {len(order)} rows, expected {self._buffer_size}")
@@ -113,6 +113,6 @@ class ReplayBuffer(PublishedNames):
         self._sample_idx = order.to(self._device)
 
     def _reset_sample_idx(self) -> None:
-        """Draw the order of the next samples."""
+        """Draw a new random order in which rows are sampled."""
         self._sample_idx = torch.randperm(self._buffer_size, device=self._device)
         self._sample_head = 0

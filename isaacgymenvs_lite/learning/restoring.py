@@ -1,7 +1,7 @@
-"""Checks that a whole checkpoint fits an agent or a player before any of it is loaded.
+"""Checks that a checkpoint fits an agent or a player before anything is loaded from it.
 
-`load_state_dict` would stop halfway at a tensor that does not fit, and Adam's fused step does not
-check the sizes of its moments.
+torch's `load_state_dict` stops halfway at a tensor that does not fit, and fused Adam does not check
+the shapes of its running averages.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from isaacgymenvs_lite.errors import CheckpointError
 _COMPILED_PREFIX = "_orig_mod."
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 _NOT_NEGATIVE = ("running_var", "exp_avg_sq", "step")
-"""Suffixes of the names of tensors that are never negative."""
+"""Endings of the names of tensors whose values are never negative."""
 
 
 @dataclass(frozen=True)
 class Parts:
-    """The entries of a checkpoint that an agent or a player loads, by the checkpoint's keys.
+    """The objects that an agent or a player loads from a checkpoint, by the checkpoint's keys.
 
-    `others` are gradient scalers, whose state holds only scalars. A checkpoint may lack `optional`
-    keys; with `counts` it must have `epoch` and `frame`.
+    `others` are gradient scalers, whose state holds only scalars. A checkpoint may lack the keys in
+    `optional`. If `counts` is True, it must have `epoch` and `frame`.
     """
 
     modules: Mapping[str, nn.Module]
@@ -40,20 +40,21 @@ class Parts:
 
     @property
     def required(self) -> list[str]:
-        """Keys that a checkpoint must have."""
+        """The keys that a checkpoint must have."""
         keys = [*self.modules, *self.optimizers, *self.tensors, *self.others]
         keys += ["epoch", "frame"] if self.counts else []
         return [key for key in keys if key not in self.optional]
 
 
-# `load_checkpoint` has checked these; a task checks its own `env_state`.
+# `load_checkpoint` has already checked these entries; a task checks its `env_state` itself.
 _AS_THEY_ARE = ("epoch", "frame", "last_mean_rewards", "env_state", LLC_KEY)
 
 
 class Fitting:
-    """Compares a checkpoint with the modules and optimisers that load it.
+    """Compares a checkpoint with the modules and optimisers into which it is loaded.
 
-    Messages begin with `source`, the user's argument (`checkpoint=FILE`), and end with `hint`.
+    Error messages begin with `source`, the user's argument (`checkpoint=FILE`), and end with
+    `hint`.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class Fitting:
         self._hint = hint
 
     def parts(self, state: Mapping[str, Any], parts: Parts) -> dict[str, Any]:
-        """Return the entries that `parts` names, or raise CheckpointError for the first misfit."""
+        """Return the entries for `parts`; raise CheckpointError if an entry does not fit."""
         missing = [key for key in parts.required if key not in state]
         if missing:
             needs = " (test=True needs less)" if parts.optimizers else ""
@@ -101,7 +102,7 @@ class Fitting:
                     f"has {where}.{short(name)} ({_kind(tensor)}), which is not expected"
                 )
             if name.endswith("count") and isinstance(tensor, Tensor):
-                tensor = tensor.double()  # rl_games 2 counts a normaliser's rows in integers
+                tensor = tensor.double()  # rl_games 2 stores a normaliser's count as an integer
             self._compare(tensor, own[names[name]], f"{where}.{name}")
             fitted[names[name]] = tensor
         return fitted
@@ -120,7 +121,7 @@ class Fitting:
     def _optimizer(
         self, given: Any, optimizer: torch.optim.Optimizer, model: nn.Module | None, where: str
     ) -> dict[str, Any]:
-        """Return Adam's moments with the groups and settings of `optimizer`."""
+        """Return Adam's running averages, with the groups and settings of `optimizer`."""
         own = optimizer.state_dict()["param_groups"]
         parameters = [p.detach() for group in optimizer.param_groups for p in group["params"]]
         try:
@@ -133,7 +134,7 @@ class Fitting:
             for number, entry in given["state"].items():
                 moments[number] = {
                     **{name: entry[name] for name in _MOMENTS},
-                    # Before torch 1.12 the step was a number.
+                    # Before torch 1.12 the step was no tensor.
                     "step": torch.as_tensor(entry["step"], dtype=torch.float32),
                 }
                 for name, value in moments[number].items():
@@ -143,12 +144,12 @@ class Fitting:
             line = str(error)
             line = line if line.startswith(self._source) else f"{self._source}: {line}"
             raise CheckpointError(line) from error
-        except Exception as error:  # A damaged or foreign state may have any structure.
+        except Exception as error:  # A state from another program may have any structure.
             raise self._misfit(f"{where} is no state of this optimiser") from error
         return {"state": moments, "param_groups": own}
 
     def _other(self, given: Any, other: Any, where: str) -> dict[str, Any]:
-        """Return the scalars of another object with a state, such as a gradient scaler."""
+        """Return the scalars in the state of another object, such as a gradient scaler."""
         try:
             return {name: type(own)(given[name]) for name, own in other.state_dict().items()}
         except Exception as error:
@@ -159,12 +160,15 @@ class Fitting:
 
 
 class RestoringPlayer(BasePlayer):
-    """Mixin: loads a checkpoint once all of it fits; precedes rl_games' player."""
+    """Mixin that loads a checkpoint only if all of it fits.
+
+    In a list of base classes, the mixin stands before rl_games' player.
+    """
 
     model: Any
 
     def _parts(self) -> Parts:
-        """Return the entries of a checkpoint that the player loads."""
+        """Return the objects that the player loads from a checkpoint."""
         return Parts({"model": self.model})
 
     def restore(self, fn: str) -> dict[str, Any]:
@@ -180,7 +184,7 @@ class RestoringPlayer(BasePlayer):
 
 
 def _kind(value: Any) -> str:
-    """Return shape and type of a tensor, or the type of another value, in words."""
+    """Describe a tensor by shape and type, and any other value by its type."""
     if not isinstance(value, Tensor):
         return f"a {type(value).__name__}"
     shape = "x".join(str(size) for size in value.shape) or "one value"

@@ -1,8 +1,9 @@
-"""Mixin of all agents: a resumed training repeats the uninterrupted training bit for bit.
+"""Mixin of all agents: a resumed training gives exactly the results of an uninterrupted one.
 
-The agent writes a training state at every periodic checkpoint and at the end. It has the state of
-the agent, its task, the observers and the random generators. A resumed training loads it before its
-first epoch, after the usual reset of the environments.
+An agent writes a training state at every periodic checkpoint and at the end. The training state
+contains the state of the agent, the task, the observers and the random generators. A resumed
+training loads the training state after the first reset of the environments and before its first
+epoch.
 """
 
 from __future__ import annotations
@@ -36,17 +37,17 @@ _RATES = ("learning_rate", "actor_lr", "critic_lr", "alpha_lr")
 
 
 class Resuming(BaseAlgorithm):
-    """Writes training states, and continues from a training state.
+    """Writes training states, and resumes a training from one of them.
 
-    Keys of `params.config`: `save_frequency` (epochs between two states), `save_buffers` (whether
-    to store replay buffers; by default large ones are not stored in the first 20 epochs), and
-    `resume` (the file to continue from, which the runner sets).
+    Keys of `params.config`: `save_frequency` (epochs between two training states), `save_buffers`
+    (whether to store replay buffers; by default large buffers are not stored in the first 20
+    epochs), and `resume` (the file to resume from, which the runner sets).
 
     Attributes:
-        stored: names of attributes that a state has in addition to the checkpoint. Lists of base
-            classes are joined; `a.b` is attribute `b` of attribute `a`.
-        stored_episodes: attributes with the state of the running episodes.
-        stored_buffers: attributes that are replay buffers.
+        stored: names of attributes that a training state contains in addition to the checkpoint.
+            The names in all base classes are joined; `a.b` is attribute `b` of attribute `a`.
+        stored_episodes: names of attributes with the state of the running episodes.
+        stored_buffers: names of attributes that are replay buffers.
     """
 
     stored: ClassVar[tuple[str, ...]] = (
@@ -73,26 +74,26 @@ class Resuming(BaseAlgorithm):
     _stored_epoch = -1
     _reported_size = False
     frames_before_log = 0
-    """Number of frames after `frame` at which the next epoch writes its scalars."""
+    """The next epoch writes its scalars to TensorBoard at `frame` plus this number."""
 
     # --- storing -----------------------------------------------------------------------------
 
     def train(self) -> Any:
-        """Train, and store the state at the end."""
+        """Train, and write the training state at the end."""
         result = super().train()  # type: ignore[safe-super]  # rl_games' class comes after
         self.store_training_state()
         return result
 
     def store_if_due(self) -> None:
-        """Write a training state in epochs with a periodic checkpoint."""
+        """Write a training state if this epoch has a periodic checkpoint."""
         if self.save_freq > 0 and self.epoch_num > 0 and self.epoch_num % self.save_freq == 0:
             self.store_training_state()
 
     def store_training_state(self) -> None:
-        """Write the state after this epoch, unless it is already written.
+        """Write the training state after this epoch, unless it is already written.
 
-        A failure is logged; the former state stays and the training continues. The main process
-        writes last, because `resume=` looks for its file.
+        If writing fails, the failure is logged, the former training state stays, and the training
+        continues. The main process writes last, because `resume=` looks for the main process' file.
         """
         if self._stored_epoch == self.epoch_num:
             return
@@ -106,13 +107,13 @@ class Resuming(BaseAlgorithm):
         self._stored_epoch = self.epoch_num
 
     def _write_state(self, token: str) -> bool:
-        """Write this process' files; return whether that succeeded."""
+        """Write the files of this process, and return whether that succeeded."""
         group, run = current_group(), Path(self.experiment_dir)
         try:
             buffers = self._read("stored_buffers") if self.config.get("save_buffers", True) else {}
             is_short = self.epoch_num < _FEW_EPOCHS and "save_buffers" not in self.config
             if is_short and num_bytes(buffers) > _LARGE_BYTES:
-                buffers = {}  # Repeating such a short run is cheap.
+                buffers = {}  # A run as short as this is easily repeated.
             memory = {
                 "learning_rates": self._learning_rates(),
                 "task_settings": self._task_settings(),
@@ -124,7 +125,7 @@ class Resuming(BaseAlgorithm):
             weights: Any = self.get_full_state_weights()
             state = TrainingState(weights, memory, buffers or None, group.size)
             files = write_training_state(run, state, self.epoch_num, token, group.rank)
-        except Exception as error:  # The disk may be full, or a user's task may fail.
+        except Exception as error:  # A full disk or a user's task may fail.
             reason = one_line(getattr(error, "strerror", None) or error)
             message = "cannot write the training state of epoch %d below %s (%s); training goes on"
             log.warning(message, self.epoch_num, run, reason)
@@ -141,7 +142,7 @@ class Resuming(BaseAlgorithm):
         return {name: read_state(getattr(holder, attribute)) for name, holder, attribute in found}
 
     def _attributes(self, kind: str) -> Iterator[tuple[str, Any, str]]:
-        """Yield listed name, object and attribute name of each stored attribute."""
+        """Yield for each stored attribute its name in the list, its object and its name there."""
         listed = (name for base in type(self).__mro__ for name in base.__dict__.get(kind, ()))
         for name in dict.fromkeys(listed):
             holder: Any = self
@@ -152,7 +153,7 @@ class Resuming(BaseAlgorithm):
                 yield name, holder, attribute
 
     def _learning_rates(self) -> list[float]:
-        """Return the learning rates of the configuration."""
+        """Return the learning rates in the configuration."""
         return [float(self.config[key]) for key in _RATES if key in self.config]
 
     @property
@@ -162,7 +163,7 @@ class Resuming(BaseAlgorithm):
         return task if hasattr(task, "load_state_dict") else None
 
     def _task_settings(self) -> str:
-        """Return a hash of the task's settings and the sizes of a rollout."""
+        """Return a hash of the task's settings, the number of environments and the horizon."""
         task = getattr(self.vec_env, "env", None)
         cfg = getattr(task, "cfg", None) or {}
         sim = {key: value for key, value in (cfg.get("sim") or {}).items() if key != "physx"}
@@ -174,7 +175,7 @@ class Resuming(BaseAlgorithm):
     # --- continuing --------------------------------------------------------------------------
 
     def read_resumed(self, fn: str) -> dict[str, Any]:
-        """Return the checkpoint in a training state; `go_on` uses the rest of the state."""
+        """Return the checkpoint in a training state; `go_on` restores the rest of the state."""
         group = current_group()
         self._to_resume = read_training_state(Path(fn), group.rank, group.size)
         self._resumed_from = fn
@@ -187,7 +188,7 @@ class Resuming(BaseAlgorithm):
             return
         try:
             fresh = self._write_memory(state)
-        except Exception as error:  # The state may be another agent's, or damaged.
+        except Exception as error:  # The file may belong to another agent.
             raise CheckpointError(
                 f"resume={self._resumed_from}: the training state does not fit ({one_line(error)});"
                 f" start a new run with its networks: checkpoint={self._resumed_from}"
@@ -201,7 +202,7 @@ class Resuming(BaseAlgorithm):
         self._stored_epoch = self.epoch_num if state.memory is not None else -1
 
     def _write_memory(self, state: TrainingState) -> list[str]:
-        """Restore everything that fits; return reasons for the parts that start anew."""
+        """Restore everything that fits, and return messages about everything that starts anew."""
         memory = state.memory
         if memory is None:
             return [
@@ -248,4 +249,4 @@ class Resuming(BaseAlgorithm):
                     setattr(holder, attribute, written)
 
     def _rates_restored(self) -> None:
-        """Set the optimisers to the restored learning rates."""
+        """Set the optimisers' learning rates to the restored ones."""

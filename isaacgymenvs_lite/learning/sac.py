@@ -1,4 +1,4 @@
-"""rl_games' soft actor-critic with complete checkpoints."""
+"""rl_games' soft actor-critic (SAC), with checkpoints that include temperature and best reward."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from isaacgymenvs_lite.utils.state import Stateful
 
 
 class _EndOfEpoch(Stateful):
-    """Wraps the observer, which is all that rl_games' loop calls after each epoch."""
+    """Wraps the observer, because rl_games' loop calls only the observer after each epoch."""
 
     stored = ("_observer",)
 
@@ -45,11 +45,14 @@ class _EndOfEpoch(Stateful):
 
 
 class _LastEpochError(Exception):
-    """Leaves rl_games' loop after the last epoch, if no episode has ended."""
+    """Raised to leave rl_games' loop after the last epoch if no episode has ended."""
 
 
 class _EndsAtItsLimits(RLGamesSACAgent):
-    """Ends a training at its last epoch; rl_games checks its limits only after an episode's end."""
+    """Ends a training after its last epoch.
+
+    rl_games' SAC checks the limits only if an episode has ended.
+    """
 
     def train(self) -> Any:
         """Train; return the best mean reward and the last epoch."""
@@ -60,7 +63,7 @@ class _EndsAtItsLimits(RLGamesSACAgent):
 
 
 class BFloat16HiddenLayers(nn.Sequential):
-    """Layers that compute in bfloat16 on a CPU, except for the last layer.
+    """Layers of which all except the last compute in bfloat16 on a CPU.
 
     Parameters, their gradients and the outputs stay float32.
     """
@@ -77,14 +80,14 @@ class BFloat16HiddenLayers(nn.Sequential):
 class SACAgent(Safeguards, _EndsAtItsLimits):
     """The agent of `algo: name: sac`, with rl_games' loop, losses and replay buffer.
 
-    Unlike rl_games' checkpoints these hold the temperature and the best reward. They do not hold
-    the replay buffer (hundreds of MB), which only `resume=` restores. After a start from a
-    checkpoint the policy acts until the buffer holds a batch, and then learns.
+    Unlike rl_games' checkpoints, checkpoints of this agent hold the temperature and the best
+    reward. Checkpoints do not hold the replay buffer (hundreds of MB); only `resume=` restores it.
+    A training that starts from a checkpoint learns once the replay buffer holds a batch.
 
-    Transitions of simulations that diverged are not stored; see `diverged`.
+    Transitions of diverged simulations are not stored; see `diverged`.
 
-    `mixed_precision` on a CPU computes the hidden layers in bfloat16 and the outputs in float32.
-    The rounding error of a bfloat16 value of some hundreds exceeds the reward of a step.
+    On a CPU, `mixed_precision` computes the hidden layers in bfloat16 and the outputs in float32,
+    because the bfloat16 rounding error of a Q value of some hundreds exceeds the reward of a step.
     """
 
     stored = ("_step", "update_counter", "_last_of_actor")
@@ -96,21 +99,21 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         device = torch.device(config.get("device", "cuda:0"))
         on_cpu = device.type == "cpu"
         if torch.are_deterministic_algorithms_enabled():
-            torch.set_num_threads(1)  # The last bits of sums depend on the threads.
+            torch.set_num_threads(1)  # Sums depend on the number of threads.
         bfloat16 = resolve_mixed_precision(config.get("mixed_precision", False), device)
         config["mixed_precision"] = bfloat16 and not on_cpu
-        # rl_games compiles a `forward` that SAC never calls.
+        # torch_compile would compile `forward`, which SAC never calls.
         config.setdefault("torch_compile", False)
         # rl_games' other agents call `before_init` before they make their TensorBoard writer.
         name = config.get("full_experiment_name") or config["name"]
         config["features"]["observer"].before_init(base_name, config, name)
-        # Only rl_games' other agents accept an existing environment.
+        # rl_games' SAC does not accept an existing environment; its other agents do.
         self.vec_env = config.get("vec_env")
         super().__init__(base_name, params)
         former = self.replay_buffer
         shapes = (former.obses.shape[1:], former.actions.shape[1:])
         size = (former.capacity, former.device)
-        del self.replay_buffer, former  # Frees the memory before the new buffer needs it.
+        del self.replay_buffer, former  # This frees memory for the new buffer.
         self.replay_buffer = KeptTransitions(*shapes, *size)
         self._meters = EpisodeMeters(self, ("game_rewards", "game_lengths"))
         self.algo_observer = _EndOfEpoch(self, self.algo_observer)
@@ -127,7 +130,7 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
 
     @property
     def curr_frames(self) -> int:
-        """Environment steps of an epoch, under the name in rl_games' other agents."""
+        """The environment steps of an epoch; rl_games' other agents have this attribute."""
         return self.num_frames_per_epoch
 
     def get_full_state_weights(self) -> dict[str, Any]:
@@ -140,7 +143,7 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         }
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Load a checkpoint; rl_games' own files lack the temperature."""
+        """Load a checkpoint; the temperature is optional, because rl_games does not store it."""
         super().set_full_state_weights(weights, set_epoch=set_epoch)
         if "log_alpha" in weights:
             with torch.no_grad():
@@ -162,7 +165,7 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         return self._step % self.num_steps_per_episode
 
     def env_step(self, actions: Tensor) -> Any:
-        """Step the task, and check that actions, observations and rewards are finite."""
+        """Step the task, and raise NotFiniteError for actions, observations or rewards with nan."""
         result: Any = super().env_step(actions)
         *_, dones, infos = result
         diverged = diverged_in(infos, dones.device)
@@ -187,7 +190,7 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         )
 
     def train_epoch(self) -> Any:
-        """Store a training state or continue from one, then train an epoch."""
+        """Write a training state if it is due, or restore one, and then train an epoch."""
         self.epoch_num -= 1  # rl_games has already counted this epoch.
         self.go_on()
         self.store_if_due()
@@ -199,8 +202,8 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
     def update(self, step: int) -> Any:
         """Take a gradient step once the replay buffer holds a batch; return values to log.
 
-        Steps without an update of the actor (`policy_frequency`) repeat the actor's last values;
-        rl_games returns zeros and None, which it cannot average.
+        Between two updates of the actor (`policy_frequency`), the actor's last values are repeated.
+        In these steps, rl_games' method returns zeros and None, which rl_games cannot average.
         """
         buffer = self.replay_buffer
         if not buffer.full and buffer.idx < self.batch_size:

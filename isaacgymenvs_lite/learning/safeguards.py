@@ -1,7 +1,8 @@
-"""Base classes of all agents: they check restored, learned and saved networks.
+"""Base classes of all agents, which check networks that are restored, trained or saved.
 
-rl_games' own loop loads any checkpoint unchecked, continues with nan and saves it over good
-networks. It also writes no periodic checkpoint before the first episode has ended.
+rl_games' training loop does not check checkpoints; it continues with nan, and overwrites good
+checkpoints by networks with nan. rl_games writes no periodic checkpoint before the first episode
+has ended.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ from isaacgymenvs_lite.learning.resuming import Resuming
 
 log = logging.getLogger(__name__)
 
-# Column of a rollout -> its name in messages. Broken values spread from earlier to later columns.
+# Names of rollout tensors in error messages. The order is that in which a value that is not finite
+# spreads: from observations to values.
 _ROLLOUT = {
     "obses": "observations",
     "states": "states",
@@ -42,12 +44,15 @@ _ROLLOUT = {
     "disc_rewards": "style rewards",
 }
 _OF_TASK = ("obses", "states", "rewards", "amp_obs")
-# Shared episode statistics.
+# Episode statistics that processes share.
 _METERS = ("game_rewards", "game_shaped_rewards", "game_lengths")
 
 
 class Safeguards(Resuming):
-    """Loads only checkpoints that fit, and saves only finite networks; precedes rl_games' class."""
+    """Loads only checkpoints that fit, and saves only finite networks.
+
+    In a list of base classes, this class stands before rl_games' agent.
+    """
 
     game_rewards: Any
     rewards_shaper: Any
@@ -58,11 +63,11 @@ class Safeguards(Resuming):
     _last_periodic = ""
     _retention: Retention | None = None
     best_is_measured = False
-    """Whether `save_best` alone writes the best checkpoint."""
+    """Whether the best checkpoint is written only by `save_best`."""
     _has_learned = False
 
     def _parts(self) -> Parts:
-        """Return the entries of a checkpoint that the agent loads."""
+        """Return the objects that the agent loads from a checkpoint."""
         raise NotImplementedError
 
     # --- restoring -------------------------------------------------------------------------
@@ -74,9 +79,12 @@ class Safeguards(Resuming):
         self.set_full_state_weights(read(fn), set_epoch)
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Load a checkpoint once all of it fits; a packed policy begins a new training."""
+        """Load a checkpoint if all of it fits.
+
+        From a packed policy, a new training begins.
+        """
         is_policy, parts = POLICY_KEY in weights, self._parts()
-        if is_policy:  # Optimisers and counts start anew.
+        if is_policy:  # Optimisers and counts are reset.
             own = {
                 key: {**each.state_dict(), "state": {}} for key, each in parts.optimizers.items()
             }
@@ -95,8 +103,9 @@ class Safeguards(Resuming):
         """Train with rl_games' loop.
 
         Raises:
-            ConfigError: the restored training has already reached the last epoch.
-            NotFiniteError: observations or networks are not finite, and no actions can be sampled.
+            ConfigError: the restored training has already reached its last epoch.
+            NotFiniteError: actions cannot be sampled, because observations or networks are not
+                finite.
         """
         if self._restored_from and self.epoch_num >= self.max_epochs > 0:
             raise ConfigError(
@@ -114,7 +123,7 @@ class Safeguards(Resuming):
 
     @property
     def _steps_of_epoch(self) -> int:
-        """Policy steps of the rollout so far."""
+        """The number of policy steps in the current rollout."""
         raise NotImplementedError
 
     @property
@@ -127,7 +136,7 @@ class Safeguards(Resuming):
     def save(self, fn: str) -> None:
         """Write a checkpoint to `<fn>.pth` in the main process, if the networks are finite."""
         if self.best_is_measured and os.path.basename(fn) == self.config["name"]:
-            return  # rl_games chooses it by training rewards, which are noisy.
+            return  # rl_games selects by noisy training rewards.
         self._write_checkpoint(fn)
 
     def save_best(self) -> None:
@@ -138,7 +147,8 @@ class Safeguards(Resuming):
         if not current_group().is_main:
             return
         self._check_learned()
-        # At the last epoch rl_games writes `..._rew__1.5_` after the periodic `..._rew_1.5`.
+        # In the last epoch, rl_games writes a second checkpoint `..._rew__1.5_` after the periodic
+        # checkpoint `..._rew_1.5`.
         of_epoch = f"last_{self.config['name']}_ep_{self.epoch_num}_rew_"
         if os.path.basename(fn).startswith(of_epoch):
             if self._last_periodic.startswith(of_epoch):
@@ -155,26 +165,26 @@ class Safeguards(Resuming):
             self._retention.written(saved, self.epoch_num)
 
     def save_before_first_episode(self) -> None:
-        """Write the periodic checkpoint that rl_games omits before the first mean reward."""
+        """Write the periodic checkpoint, which rl_games does not write without a mean reward."""
         if self.save_freq > 0 and self.epoch_num % self.save_freq == 0:
             self._save_without_reward()
 
     def _save_without_reward(self) -> None:
-        """Write this epoch's checkpoint, unless rl_games does because a mean reward exists."""
+        """Write a checkpoint if no episode has ended, because rl_games then writes none."""
         if self.game_rewards.current_size > 0:
             return
-        # rl_games uses this name for the last checkpoint.
+        # rl_games gives this name to the last checkpoint.
         name = f"last_{self.config['name']}_ep_{self.epoch_num}_rew_{-torch.inf}"
         self.save(os.path.join(self.nn_dir, name))
 
     # --- values that are not finite --------------------------------------------------------
 
     def _check_learned(self) -> None:
-        """Raise NotFiniteError unless networks, normalisers and Adam's moments are finite."""
+        """Raise NotFiniteError if networks, normalisers or Adam's averages are not finite."""
         self._check_finite(dict(_tensors_of(self._parts())))
 
     def _check_finite(self, tensors: Mapping[str, Tensor]) -> None:
-        """Raise NotFiniteError with the names of up to three tensors that are not finite."""
+        """Raise NotFiniteError if tensors are not finite, with the names of up to three of them."""
         if _all_finite(tensors.values()):
             return
         broken = [name for name, tensor in tensors.items() if not bool(tensor.isfinite().all())]
@@ -193,13 +203,13 @@ class Safeguards(Resuming):
         )
 
     def _end(self, message: str) -> NotFiniteError:
-        """Return an error whose message also goes to TensorBoard."""
+        """Write the message to TensorBoard, and return it as an error."""
         if self.writer is not None:  # only the main process has one
             self.writer.add_text("advice", message, self.frame)
         return NotFiniteError(message)
 
     def _steadier_settings(self) -> str:
-        """Return settings that may prevent nan, with their current values."""
+        """Return settings that may prevent nan, as text with the current values."""
         rate = float(self.config["learning_rate"])
         return (
             f"train.params.config.learning_rate={rate / 2:g} (now {rate:g}),"
@@ -208,14 +218,15 @@ class Safeguards(Resuming):
 
     @property
     def _good_checkpoint(self) -> str:
-        """`checkpoint=FILE` with the newest finite checkpoint; '' if there is none."""
+        """The text `checkpoint=FILE` with the newest finite checkpoint, or '' if there is none."""
         file = self._last_saved or self._restored_from
         return f"checkpoint={file}" if file else ""
 
     def _check_rows(self, rows: Mapping[str, Tensor], first_step: int = 0) -> None:
-        """Raise NotFiniteError with name and place of the first value that is not finite.
+        """Raise NotFiniteError if a value is not finite, with the name and place of the first one.
 
-        `rows` are rollout columns (steps, N, ...) from step `first_step` of the epoch on.
+        `rows` are tensors (steps, N, ...) of a rollout, beginning with step `first_step` of the
+        epoch.
         """
         given = {
             name: rows[name].flatten(2) if rows[name].dim() > 2 else rows[name].unsqueeze(-1)
@@ -241,7 +252,8 @@ class Safeguards(Resuming):
         if name not in _OF_TASK:
             raise self._not_finite(f"{where}: the policy is not finite")
         if self._has_learned:
-            # `save` checks the networks: SAC's may have changed since their last check.
+            # `save` checks the networks, because SAC's networks may have changed since their last
+            # check.
             self.save(os.path.join(self.nn_dir, f"{self.config['name']}_interrupted"))
         if name == "rewards" and self.rewards_shaper.log_val:
             raise self._end(
@@ -256,21 +268,22 @@ class Safeguards(Resuming):
 
 
 def _of_group(name: str) -> Any:
-    """Return a property that reads the process group, whatever rl_games assigns to it."""
+    """Return a property that reads the process group, and ignores what rl_games assigns to it."""
     return property(lambda _: getattr(current_group(), name), lambda _, value: None)
 
 
 class DataParallel(A2CAgent):
-    """PPO in several processes, each with its own environments; a single one is rl_games' PPO.
+    """PPO in several processes, each with its own environments.
 
-    rl_games averages gradients, KL and the decision to end over the processes, but its constructor
-    starts NCCL. The agent is therefore made as in a single process, and joins the others before
-    its first epoch. This class adds equal parameters at the start, frame counts and shared episode
-    statistics; `distributed.moments` shares normalisers and advantages.
+    A single process runs rl_games' PPO. rl_games averages gradients and KL divergences over the
+    processes and ends all of them together, but its constructor starts NCCL. An agent is therefore
+    constructed for a single process, and joins the other processes before its first epoch. The
+    class also copies the initial parameters to all processes, counts frames, and shares episode
+    statistics. `distributed.moments` shares the statistics of normalisers and advantages.
     """
 
     has_joined = False
-    """Whether the agent already trains together with the other processes."""
+    """Whether the agent has joined the other processes."""
     _own_meters: dict[str, Any] | None = None
 
     global_rank = _of_group("rank")
@@ -278,7 +291,7 @@ class DataParallel(A2CAgent):
     world_size = _of_group("size")
 
     def join_others(self, tensors: list[Tensor]) -> None:
-        """Copy the main process' learned tensors to all processes, once."""
+        """Copy the learned tensors of the main process to all processes, in the first call only."""
         group = current_group()
         if self.has_joined or group.size == 1:
             return
@@ -286,7 +299,8 @@ class DataParallel(A2CAgent):
         self.has_joined = True
         group.take_from_main_(tensors)
         self.multi_gpu = True
-        # rl_games sends learning rates as float32; a resumed run must round them alike.
+        # rl_games sends learning rates as float32, and a resumed run must round them in the same
+        # way.
         self.update_lr(float(self.last_lr))
         if self.has_central_value:
             self.central_value_net.multi_gpu = True
@@ -301,7 +315,7 @@ class DataParallel(A2CAgent):
         return result
 
     def count_frames(self) -> None:
-        """Count an epoch's frames where rl_games does not: in all but the main process."""
+        """Count an epoch's frames in all processes but the main one, where rl_games counts them."""
         group = current_group()
         if not group.is_main:
             self.frame += self.curr_frames * group.size
@@ -309,13 +323,13 @@ class DataParallel(A2CAgent):
     # --- statistics of episodes ------------------------------------------------------------
 
     def take_own_meters(self) -> None:
-        """Undo `share_meters`."""
+        """Restore the meters of this process after `share_meters`."""
         own, self._own_meters = self._own_meters, None
         for name, meter in (own or {}).items():
             setattr(self, name, meter)
 
     def share_meters(self) -> None:
-        """Replace the episode meters by the mean over all processes, for one epoch's log."""
+        """Replace the episode meters by means over all processes, until the epoch is logged."""
         group = current_group()
         if group.size == 1:
             return
@@ -325,17 +339,18 @@ class DataParallel(A2CAgent):
             total = sum(group.gather(own.current_size))
             shared.mean = group.sum_(own.mean * own.current_size) / max(total, 1)
             if name != "game_lengths":
-                # rl_games' log expects the shape (1, values), which the first update sets; this
-                # process may have had no episode yet.
+                # rl_games' log expects the shape (1, values). A meter gets this shape with its
+                # first episode, and this process may have had none.
                 shared.mean = shared.mean.view(1, -1)
             shared.current_size = min(total, own.max_size)
             setattr(self, name, shared)
 
 
 class PPOSafeguards(Safeguards, DataParallel):
-    """rl_games' PPO with these checks; the base of PPOAgent and CommonAgent.
+    """rl_games' PPO with the checks of `Safeguards`; base class of PPOAgent and CommonAgent.
 
-    The rollout is checked before the update, and losses and networks before they are saved.
+    The rollout is checked before the update; losses and networks are checked before networks are
+    saved.
     """
 
     stored = (
@@ -362,7 +377,7 @@ class PPOSafeguards(Safeguards, DataParallel):
         return Parts(modules, optimizers, others=scalers, optional=optional, counts=True)
 
     def update_epoch(self) -> int:
-        """Count the epoch that starts; before it, store a training state or continue from one."""
+        """Write a training state if it is due, or restore one, and then count the new epoch."""
         self.take_own_meters()
         if self.has_joined:
             self.count_frames()
@@ -373,7 +388,7 @@ class PPOSafeguards(Safeguards, DataParallel):
         return epoch_num
 
     def store_training_state(self) -> None:
-        """Write the state after this epoch."""
+        """Write the training state after this epoch."""
         self.take_own_meters()
         super().store_training_state()
 
@@ -383,7 +398,7 @@ class PPOSafeguards(Safeguards, DataParallel):
             self.central_value_net.update_lr(self.central_value_net.lr)
 
     def _check_batch_size(self) -> None:
-        """Raise ConfigError if an epoch has one sample: advantages need a standard deviation."""
+        """Raise ConfigError if an epoch has one sample, which has no standard deviation."""
         if self.batch_size < 2:
             raise ConfigError(
                 "one environment with horizon_length 1 gives one sample per epoch, which has no"
@@ -391,7 +406,7 @@ class PPOSafeguards(Safeguards, DataParallel):
             )
 
     def _enough_rows(self, num_rows: int) -> int:
-        """Return `num_rows`, the rows without diverged simulations, if there are at least two."""
+        """Return `num_rows`, the number of valid transitions; raise an error if it is below 2."""
         if num_rows < 2:
             raise self._end(
                 f"the simulations diverged in all steps of epoch {self.epoch_num}: no transitions"
@@ -409,7 +424,7 @@ class PPOSafeguards(Safeguards, DataParallel):
         self.set_central_value_function_weights(fitted)
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
-        """Fill the dataset once the rollout is found finite."""
+        """Check that the rollout is finite, and fill the dataset."""
         self._check_rows(self.experience_buffer.tensor_dict)
         obs: Any = self.obs
         newest = {"obses": obs.get("obs"), "states": obs.get("states")}
@@ -422,7 +437,7 @@ class PPOSafeguards(Safeguards, DataParallel):
         super().prepare_dataset(batch_dict)
 
     def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:
-        """Write rl_games' scalars once losses and networks are found finite."""
+        """Check that losses and networks are finite, and write rl_games' scalars."""
         (_step_time, _play_time, _update_time, a_losses, c_losses, entropies, *_rest) = args
         losses = {"a_loss": a_losses, "c_loss": c_losses, "entropy": entropies}
         self._check_finite({name: torch.stack(each) for name, each in losses.items() if each})
@@ -433,7 +448,7 @@ class PPOSafeguards(Safeguards, DataParallel):
 
 
 def leave_out_nccl(config: dict[str, Any]) -> None:
-    """Keep rl_games' constructor from starting NCCL, by a change of `config` in place."""
+    """Change `config` in place, so that rl_games' constructor does not start NCCL."""
     if config.get("multi_gpu") and current_group().size == 1:
         raise ConfigError(
             "train.params.config.multi_gpu=True: this program trains in one process; start it with"
@@ -444,7 +459,7 @@ def leave_out_nccl(config: dict[str, Any]) -> None:
 
 
 def _tensors_of(parts: Parts) -> Iterator[tuple[str, Tensor]]:
-    """Yield all learned tensors with their names in a checkpoint."""
+    """Yield the names and values of all learned tensors in a checkpoint."""
     yield from parts.tensors.items()
     for key, module in parts.modules.items():
         for name, tensor in chain(module.named_parameters(), module.named_buffers()):
@@ -459,7 +474,10 @@ def _tensors_of(parts: Parts) -> Iterator[tuple[str, Tensor]]:
 
 @torch.no_grad()
 def _all_finite(tensors: Iterable[Tensor]) -> bool:
-    """Return whether all sums are finite; finite values whose sum overflows also return False."""
+    """Return whether the sum of each tensor is finite.
+
+    If a sum of finite values overflows, False is returned as well.
+    """
     sums = [tensor.sum(dtype=torch.float32) for tensor in tensors]
     if not sums:
         return True

@@ -1,11 +1,11 @@
-"""AMP's style reward for agents of other libraries.
+"""AMP's style reward, for agents of other reinforcement learning libraries.
 
     style = StyleReward(task, read_style_params())
     rewards = style.total(rewards, infos["amp_obs"])    # in each step
     style.update()                                      # after each rollout
 
-The discriminator is trained as in the AMP agent, with a network and an optimiser of its own, and
-with the constant gradient penalty `disc_grad_penalty`.
+The discriminator is trained like in the AMP agent, but with a separate network and optimiser, and
+with a constant weight `disc_grad_penalty` of the gradient penalty.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ _LEARNING_RATE = 5e-5
 
 
 def read_style_params(train_file: str = "HumanoidAMPPPO", **changes: Any) -> AMPParams:
-    """Return the AMP keys of a train file (its name or path), with `changes` of their values."""
+    """Return the AMP keys of a train file (its name or path); `changes` replace some values."""
     config = read_train_file(train_file)["params"]["config"]
     return read_agent_params({**config, **changes}, AMPParams)
 
 
 class StyleReward(StyleLosses):
-    """Rewards motion that looks like a task's clips; see the module docstring.
+    """Computes rewards for motion that looks like a task's clips; see the module docstring.
 
-    `units` are sizes of the discriminator's hidden layers.
+    `units` are the sizes of the discriminator's hidden layers.
 
     Attributes:
-        discriminator: the discriminator's normaliser and reward.
-        network: the discriminator's layers; save them together with the normaliser.
+        discriminator: normaliser and reward of the discriminator.
+        network: layers of the discriminator. Save them together with the normaliser.
 
     Raises:
         ConfigError: the task has no reference motions.
@@ -74,7 +74,8 @@ class StyleReward(StyleLosses):
     def total(self, task_rewards: Tensor, amp_obs: Tensor) -> Tensor:
         """Return total rewards (N,) for task rewards (N,) and AMP observations (N, F) of a step.
 
-        They are task_reward_w * task + disc_reward_w * style; `update` learns from the motion.
+        A total reward is task_reward_w * task + disc_reward_w * style. The AMP observations are
+        stored for `update`.
         """
         amp_obs = self.discriminator.truncate(amp_obs)
         self._rollout.append(amp_obs)
@@ -82,7 +83,7 @@ class StyleReward(StyleLosses):
         return self._params.task_reward_w * task_rewards + self._params.disc_reward_w * style
 
     def update(self, epochs: int = 1) -> dict[str, float]:
-        """Train the discriminator on the motion since the last update; return means to log."""
+        """Train the discriminator on the stored AMP observations, and return means to log."""
         if not self._rollout:
             return {}
         fakes = torch.cat(self._rollout)
@@ -92,7 +93,7 @@ class StyleReward(StyleLosses):
         size = min(self._params.amp_minibatch_size, len(fakes))
         for _ in range(epochs):
             order = torch.randperm(len(fakes), device=fakes.device)
-            # Rows after the last whole minibatch are left out; the next epoch has another order.
+            # Rows after the last whole minibatch are left out; each epoch has a new random order.
             for rows in order[: len(fakes) // size * size].split(size):
                 infos.append(self._learn(fakes[rows]))
         self._replay.store_some({"amp_obs": fakes}, self._params.amp_replay_keep_prob)
@@ -102,7 +103,7 @@ class StyleReward(StyleLosses):
         }
 
     def _learn(self, fakes: Tensor) -> dict[str, Tensor]:
-        """Take a gradient step on fakes (n, F), n replayed rows and n demonstrations."""
+        """Take a gradient step on n AMP observations of policy, replay buffer and clips each."""
         has_older = self._replay.get_total_count() > 0
         replayed = self._replay.sample(len(fakes))["amp_obs"] if has_older else fakes
         kinds = (fakes, replayed, self._demos.sample(len(fakes))["amp_obs"])
@@ -117,7 +118,7 @@ class StyleReward(StyleLosses):
         self._optimizer.zero_grad()
         info["disc_loss"].backward()
         self._optimizer.step()
-        # The first minibatch is normalised as its reward was; the statistics change afterwards.
+        # The statistics are updated after the minibatch, which is normalised like its rewards were.
         if self.discriminator.normalizer is not None:
             self.discriminator.normalizer.count_in(torch.cat(kinds))
         return {name: value.detach() for name, value in info.items()}

@@ -1,8 +1,8 @@
-"""A warm start: before the first epoch the mean action learns to follow the reference motions.
+"""A warm start: the policy's mean action learns to follow the clips before the first epoch.
 
-An untrained policy spends its first millions of frames on learning the drive targets that follow a
-clip, which can be computed. Behaviour cloning teaches them to the actor in some seconds, from noisy
-states of the clips. The policy does not keep its balance yet; the training teaches that.
+An untrained policy needs millions of frames to learn the drive targets that follow a clip. The
+drive targets can be computed, and behaviour cloning teaches them to the actor in some seconds, from
+noisy states of the clips. The policy only learns in the later training to keep its balance.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from isaacgymenvs_lite.env_interface import TrackingDemo
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 
 NUM_SAMPLES = 20_000
-"""Number of states of the clips for the regression."""
+"""Number of states drawn from the clips for behaviour cloning."""
 _ROWS = 256
 _FIRST_RATE, _LAST_RATE = 1e-3, 1e-5
 _LEAST_STD = 0.1
@@ -31,15 +31,16 @@ def clone_actions(
     noise: float,
     latents: Tensor | None = None,
 ) -> float:
-    """Train the actor on the actions of a demonstration; return the root mean squared error.
+    """Train the actor to predict the actions in `demo`; return the root mean squared error.
 
-    Actor and critic must share no layers; critic and learned standard deviations do not change. The
-    normaliser counts the noisy observations, whose noise is a share of their standard deviation.
+    Actor and critic must share no layers; critic and learned standard deviations do not change.
+    Observations get noise of `noise` standard deviations, and the normaliser counts the noisy
+    observations.
     """
     std = noise * demo.obs.std(dim=0)
     if normalizer is not None:
         normalizer.count_in(demo.obs + std * torch.randn_like(demo.obs))
-        # Otherwise nearly constant inputs would be clipped as soon as a robot falls.
+        # A least variance keeps nearly constant inputs from being clipped as soon as a robot falls.
         normalizer.running_var.clamp_(min=_LEAST_STD**2)
     network = model.a2c_network
     model.eval()
@@ -59,9 +60,9 @@ def clone_actions(
 def descend(
     loss: Callable[[], Tensor], parameters: Iterable[nn.Parameter], num_steps: int
 ) -> float:
-    """Take steps of Adam with a linearly falling rate; return the last step's loss.
+    """Minimise `loss` by Adam with a linearly falling learning rate, and return its last value.
 
-    `loss` draws a new batch in each call; gradients of other parameters are not touched.
+    `loss` draws a new batch in each call. Gradients of other parameters do not change.
     """
     learned = list(parameters)
     adam = torch.optim.Adam(learned, lr=_FIRST_RATE, fused=True)
@@ -79,6 +80,6 @@ def descend(
 
 
 def actor_parameters(network: Any) -> list[nn.Parameter]:
-    """Return the mean action's parameters, in the order of `parameters()`."""
+    """Return the parameters that the mean action depends on, in the order of `parameters()`."""
     layers = (network.actor_mlp, network.mu)
     return [parameter for layer in layers for parameter in layer.parameters()]

@@ -1,1 +1,1 @@
-"""Computes networks fast on CPUs: slices of rows on several threads, bfloat16."""
+"""Computes networks fast on CPUs: several threads compute different rows, in bfloat16."""

@@ -1,12 +1,12 @@
-"""Evaluates networks in a chosen precision and, on CPUs, one slice of the rows per thread.
+"""Evaluates networks in a chosen precision; on CPUs, each thread computes some of the rows.
 
-torch's own threads split every operation and synchronise after it, some hundred times in a gradient
-step. Here each thread takes a slice of the rows forwards and backwards through the whole network
-and, in this project's agents, through the losses too. On two cores a gradient step of AMP takes
-half as long (docs/speed.md), and no idle OpenMP threads take CPU time from the physics.
+torch's threads split every operation and synchronise after each, some hundred times in a gradient
+step. In this module, each thread computes forward and backward pass of the whole network for a
+slice of the rows; in this project's agents, it also computes the losses. On two cores this halves
+the time of an AMP gradient step (docs/speed.md), and no idle OpenMP threads use CPU time that the
+physics needs.
 
-With `torch_deterministic=True` the slices depend only on the number of rows, and results do not
-depend on the number of threads.
+With `torch_deterministic=True`, slices and results do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -25,30 +25,34 @@ from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normaliz
 from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
-# Least number of rows of a slice.
+# A slice has at least this many rows.
 _MIN_ROWS = 128
-# Cost of another slice, as products of rows and parameters. The interpreter's lock serialises the
-# slices' small operations. s slices take a / s + b * s, which is least for s = sqrt(a / b).
+# Cost b of each additional slice, in multiplications. Python's interpreter lock serialises small
+# operations of the slices. If a network needs `a` multiplications, the cost of s slices is a / s +
+# b * s, which is least for s = sqrt(a / b).
 _PRODUCTS_OF_A_SLICE = 300_000_000
-# Slices under `torch_deterministic=True`: their rows and greatest number. Smaller slices cost more
-# (each casts the weights and has gradients of its own), larger ones leave threads idle.
+# Rows per slice and largest number of slices under `torch_deterministic=True`. Smaller slices cost
+# more, because each slice casts the weights and computes separate gradients; larger slices leave
+# threads idle.
 _FIXED_ROWS = 1024
 _MOST_FIXED_SLICES = 16
-# Number of rows that are evaluated at once without gradients; their activations fit into the cache.
+# Without gradients, this many rows are evaluated at once: their activations fit into the cache.
 _CHUNK_ROWS = 8192
-# Layers whose rows depend on each other, or that draw random numbers.
+# Layers that mix rows or draw random numbers, and therefore cannot be sliced.
 _UNSLICED_LAYERS = (nn.RNNBase, nn.Dropout, nn.modules.batchnorm._BatchNorm)
-# Attributes of a module for its parameters, buffers and layers.
+# Attributes in which a torch module stores its parameters, buffers and layers.
 _MODULE_STATE = ("_parameters", "_buffers", "_modules", "_non_persistent_buffers_set")
 
 RowFunction = Callable[..., Any]
-"""Tensors of n rows -> a tensor of n rows or a tuple of such tensors; rows are independent."""
+"""A function from tensors of n rows to one or several tensors of n rows, which treats each row
+independently."""
 LossFunction = Callable[[dict[str, Tensor]], tuple[Tensor, dict[str, Tensor]]]
-"""{name: rows} -> a mean loss, and values: means over the rows, or tensors of rows."""
+"""A function from {name: rows} to a mean loss and {name: value}; a value is a mean over the rows or
+a tensor of rows."""
 
 
 def parallelize(model: Any, device: str | torch.device, mixed_precision: Any) -> NetworkExecutor:
-    """Replace `a2c_network` of an rl_games model by a `ParallelNetwork`; return its executor."""
+    """Replace the network of an rl_games model by a `ParallelNetwork`, and return its executor."""
     bfloat16 = resolve_mixed_precision(mixed_precision, device)
     parameters = sum(parameter.numel() for parameter in model.a2c_network.parameters())
     network = ParallelNetwork(
@@ -59,9 +63,9 @@ def parallelize(model: Any, device: str | torch.device, mixed_precision: Any) ->
 
 
 def take_models(agent: Any, device: str | torch.device, precision: Any) -> NetworkExecutor:
-    """Give an agent's policy and critic fast normalisers and networks, and set `value_mean_std`.
+    """Give an agent's policy and critic fast normalisers and networks; return the executor.
 
-    Returns the executor of the policy's network.
+    The agent's `value_mean_std` is set as well. The executor of the policy's network is returned.
     """
     models = [agent.model]
     if agent.has_central_value:
@@ -76,14 +80,14 @@ def take_models(agent: Any, device: str | torch.device, precision: Any) -> Netwo
 
 
 class ParallelNetwork(nn.Module):
-    """Replaces an rl_games network; several threads compute a slice of the rows each.
+    """Replaces an rl_games network; each of several threads computes a slice of the rows.
 
-    Several threads compute the network's calls (a dictionary of rows in; a tuple of rows and the
-    recurrent state out) and its methods in `row_functions`. All other attributes are the network's
-    own. Parameters, buffers and layers keep their names in checkpoints.
+    The threads compute `forward` (from a dictionary of rows to a tuple of rows and the recurrent
+    state) and the methods named in `row_functions`. All other attributes are those of the wrapped
+    network. Parameters, buffers and layers keep their names in checkpoints.
 
-    `serial` is the network itself, which the calling thread computes in the parameters' precision.
-    It is not sliced if its layers mix rows (`_UNSLICED_LAYERS`).
+    `serial` is the wrapped network; a call of `serial` uses one thread and the parameters'
+    precision. A network whose layers mix rows (`_UNSLICED_LAYERS`) is not sliced.
     """
 
     serial: nn.Module
@@ -100,7 +104,7 @@ class ParallelNetwork(nn.Module):
         super().__init__()
         layers = list(network.modules())
         can_slice = not any(isinstance(layer, _UNSLICED_LAYERS) for layer in layers)
-        del vars(self)["training"]  # `training` is the network's.
+        del vars(self)["training"]  # `training` is then read from the wrapped network.
         vars(self).update(
             {name: vars(network)[name] for name in _MODULE_STATE},
             serial=network,
@@ -109,7 +113,7 @@ class ParallelNetwork(nn.Module):
         )
 
     def forward(self, inputs: dict[str, Any]) -> tuple[Any, ...]:
-        """Return the network's outputs; tensors with as many rows as `obs` are sliced."""
+        """Return the network's outputs; all inputs with as many rows as `obs` are sliced."""
         if self._is_recurrent or not isinstance(inputs["obs"], Tensor):
             return self.executor.evaluate(self.serial, inputs)
         sliced: dict[str, Tensor] = {}
@@ -124,7 +128,7 @@ class ParallelNetwork(nn.Module):
         return (*self.executor.run(self, function, *sliced.values()), None)
 
     def __getattr__(self, name: str) -> Any:
-        # `serial` is missing while the module is copied.
+        # `serial` is not set yet while the module is copied.
         if name.startswith("__") or "serial" not in vars(self):
             raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
         value = getattr(self.serial, name)
@@ -145,29 +149,29 @@ class ParallelNetwork(nn.Module):
         setattr(self.serial, name, value)
 
     def train(self, mode: bool = True) -> ParallelNetwork:
-        """Set the network's mode."""
+        """Set training or evaluation mode of the wrapped network."""
         self.serial.train(mode)
         return self
 
 
 def serial_network(network: nn.Module) -> Any:
-    """Return a network without threads and autocast, which other runtimes can trace."""
+    """Return the network without threads and autocast, so that an exporter can trace it."""
     return network.serial if isinstance(network, ParallelNetwork) else network
 
 
 class NetworkExecutor:
-    """Evaluates functions of rows in a chosen precision; on a CPU, threads evaluate slices.
+    """Evaluates functions of rows in a chosen precision; on a CPU, threads evaluate slices of them.
 
-    The number of threads changes sums of gradients in the last bits, unless torch uses
-    deterministic algorithms only.
+    The number of threads changes the last bits of summed gradients, unless torch uses only
+    deterministic algorithms.
 
     Args:
-        device: device of the networks; only rows on the CPU are sliced.
-        bfloat16: compute under autocast to bfloat16; results are always float32.
-        num_threads: greatest number of threads.
-        can_slice: whether rows are independent of each other in all functions.
-        row_products: number of products per row, about the number of parameters; None uses all
-            threads.
+        device: device of the networks. Rows are only sliced on the CPU.
+        bfloat16: whether to compute under autocast to bfloat16. Results are always float32.
+        num_threads: largest number of threads.
+        can_slice: whether all functions treat each row independently.
+        row_products: number of multiplications per row (about the number of parameters), which
+            limits the number of slices. If `row_products` is None, all threads are used.
     """
 
     def __init__(
@@ -187,14 +191,14 @@ class NetworkExecutor:
         self._within = threading.local()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy without the threads."""
+        """Copy the executor without its threads."""
         settings = (self.bfloat16, self.num_threads, self._can_slice, self._row_products)
         return NetworkExecutor, (self._device_type, *settings)
 
     def run(self, module: nn.Module, function: RowFunction, *rows: Tensor) -> Any:
-        """Return `function(*rows)` in float32, differentiable once by parameters and rows.
+        """Return `function(*rows)` in float32, once differentiable in parameters and rows.
 
-        Several threads call `function`, which uses the parameters of `module`.
+        Several threads call `function`, which uses parameters of `module`.
         """
         slices = self._num_slices(len(rows[0]))
         if slices == 1 or getattr(self._within, "slice", False):
@@ -217,7 +221,7 @@ class NetworkExecutor:
         return outputs if several else outputs[0]
 
     def evaluate(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return `function(*arguments)` in float32, computed by the calling thread."""
+        """Return `function(*arguments)` in float32; only the calling thread computes it."""
         with torch.autocast(self._device_type, torch.bfloat16, enabled=self.bfloat16):
             outputs = function(*arguments)
         return _as_float32(outputs)
@@ -225,15 +229,15 @@ class NetworkExecutor:
     def gradients(
         self, function: LossFunction, rows: dict[str, Tensor], parameters: list[nn.Parameter]
     ) -> tuple[list[Tensor | None], dict[str, Tensor]]:
-        """Differentiate a mean loss over rows, with forward and backward pass by slices.
+        """Differentiate a mean loss over rows; threads compute both passes for slices of the rows.
 
-        The threads synchronise once. With `run` they would synchronise after each network, and one
-        thread would compute the loss. Each slice has the same share of all tensors of rows, whose
-        lengths may differ.
+        The threads synchronise once; `run` synchronises after each network, and leaves the loss to
+        one thread. Tensors may have different numbers of rows; each slice gets the same share of
+        every tensor.
 
         Returns:
-            The gradients, None for parameters without influence on the loss; and the values of
-            `function`: scalars as means over all rows, tensors with all rows.
+            The gradients (None for parameters that do not influence the loss), and the values of
+            `function`: scalars are means over all rows, and tensors have all rows.
         """
 
         def differentiate(part: dict[str, Tensor], share: float) -> tuple[Any, ...]:
@@ -256,7 +260,7 @@ class NetworkExecutor:
         return list(map(sum_gradients, zip(*found, strict=True))), merged
 
     def map(self, function: Callable[..., Any], arguments: list[tuple[Any, ...]]) -> list[Any]:
-        """Return [function(*a) for a in arguments], computed by all threads."""
+        """Return [function(*a) for a in arguments]; the threads share the calls."""
         if len(arguments) <= 1:
             return [function(*a) for a in arguments]
         grad_enabled = torch.is_grad_enabled()
@@ -266,7 +270,7 @@ class NetworkExecutor:
         def work(first: int) -> None:
             self._within.slice = True
             try:
-                with torch.set_grad_enabled(grad_enabled):  # Each thread has its own switch.
+                with torch.set_grad_enabled(grad_enabled):  # This switch is per thread.
                     for i in range(first, len(arguments), busy):
                         results[i] = function(*arguments[i])
             finally:
@@ -296,14 +300,14 @@ class NetworkExecutor:
 
 
 def _as_float32(output: Any) -> Any:
-    """Return an output, or a tuple of outputs or recurrent states, in float32."""
+    """Convert an output, or all outputs and recurrent states in a tuple, to float32."""
     if isinstance(output, tuple):
         return tuple(map(_as_float32, output))
     return output.float() if isinstance(output, Tensor) else output
 
 
 class _SlicedFunction(torch.autograd.Function):
-    """A function of rows and parameters; several threads differentiate its slices."""
+    """A differentiable function of rows and parameters, computed in slices by several threads."""
 
     @staticmethod
     def forward(  # type: ignore[override]
@@ -323,7 +327,7 @@ class _SlicedFunction(torch.autograd.Function):
             outputs = executor.map(function, inputs)
         columns = list(zip(*outputs, strict=True))
         results = tuple(torch.cat([part.detach() for part in column]) for column in columns)
-        # Outputs that depend on no parameter (a fixed sigma) must not require gradients.
+        # An output that depends on no parameter (a fixed sigma) must not require gradients.
         constant = [r for r, c in zip(results, columns, strict=True) if not c[0].requires_grad]
         ctx.mark_non_differentiable(*constant)
         ctx.executor, ctx.parameters = executor, tensors[num_inputs:]
@@ -353,9 +357,9 @@ class _SlicedFunction(torch.autograd.Function):
 
 
 def evaluate_in_chunks(function: Callable[..., Tensor], *rows: Tensor) -> Tensor:
-    """Return function(*rows) (..., D) in float32, without gradients, for rows (..., F).
+    """Return function(*rows) (..., D) in float32 for rows (..., F), without gradients.
 
-    Chunks of rows keep the activations in the cache.
+    The function is called for chunks of rows, whose activations fit into the CPU's cache.
     """
     with torch.no_grad():
         columns = [x.reshape(-1, x.shape[-1]).split(_CHUNK_ROWS) for x in rows]
@@ -364,17 +368,17 @@ def evaluate_in_chunks(function: Callable[..., Tensor], *rows: Tensor) -> Tensor
 
 
 def split_rows(rows: tuple[Tensor, ...], slices: int) -> list[tuple[Tensor, ...]]:
-    """Return `slices` tuples of consecutive parts of all tensors."""
+    """Return `slices` tuples; tuple i holds the i-th part of each tensor."""
     return list(zip(*(torch.tensor_split(tensor, slices) for tensor in rows), strict=True))
 
 
 def split_proportionally(
     rows: dict[str, Tensor], slices: int
 ) -> tuple[list[dict[str, Tensor]], list[float]]:
-    """Split tensors of different lengths into slices with equal shares of every tensor.
+    """Split tensors of different lengths, so that a slice has the same share of every tensor.
 
-    Returns the slices and their shares. There are at most `slices`, and fewer if the lengths'
-    greatest common divisor is smaller.
+    Return the slices and their shares. The number of slices is at most `slices`, and at most the
+    greatest common divisor of the lengths.
     """
     unit = math.gcd(*map(len, rows.values()))
     slices = max(1, min(slices, unit))
@@ -394,7 +398,7 @@ def split_proportionally(
 
 
 def sum_gradients(grads: tuple[Tensor | None, ...]) -> Tensor | None:
-    """Return the sum of a parameter's gradients in the order of the slices; None counts as 0."""
+    """Return the sum of a parameter's gradients from all slices; None counts as 0."""
     total = grads[0]
     for grad in grads[1:]:
         total = grad if total is None else total if grad is None else total + grad

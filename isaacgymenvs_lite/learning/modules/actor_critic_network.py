@@ -18,7 +18,8 @@ class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
     replaced: ClassVar[dict[str, str]] = NETWORK_NAMES
 
     row_functions: tuple[str, ...] = ("eval_actor", "eval_critic")
-    """Methods that `ParallelNetwork` computes in slices of rows."""
+    """Names of the methods that `ParallelNetwork` computes on several threads, some rows on
+    each."""
 
     def __init__(self, params: dict[str, Any], **kwargs: Any) -> None:
         for section in ("rnn", "cnn"):
@@ -35,7 +36,7 @@ class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
     def forward(self, obs_dict: dict[str, Any]) -> tuple[Any, ...]:
         """Return mean actions, log standard deviations, values and no recurrent state.
 
-        rl_games' forward pass would ignore a subclass' `eval_actor` or `eval_critic`.
+        rl_games' forward pass is replaced, because it does not call `eval_actor` and `eval_critic`.
         """
         own, base = type(self), ActorCriticNetwork
         if own.eval_actor is base.eval_actor and own.eval_critic is base.eval_critic:
@@ -48,7 +49,7 @@ class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
         return self._act_on(self.actor_mlp(obs))
 
     def _act_on(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Return mean actions and log standard deviations of the trunk's features."""
+        """Return mean actions and log standard deviations, given the hidden layers' outputs."""
         mu = self.mu_act(self.mu(features))
         if self.fixed_sigma:
             return mu, torch.zeros_like(mu) + self.sigma_act(self.sigma)

@@ -1,8 +1,8 @@
 """The style discriminator: layers, reward and loss.
 
 Peng et al. 2021, "AMP: Adversarial Motion Priors for Stylized Physics-Based Character Control"
-(arXiv 2104.02180). In an agent the layers belong to the actor-critic network; one optimiser and one
-checkpoint hold everything.
+(arXiv 2104.02180). In an agent, the discriminator's layers belong to the actor-critic network.
+Policy, critic and discriminator share one optimiser and one checkpoint.
 """
 
 from __future__ import annotations
@@ -23,36 +23,43 @@ from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 
 # The last layer is initialised with U(-1, 1), as in IsaacGymEnvs and ASE.
 DISC_LOGIT_INIT_SCALE = 1.0
-# This limits the logistic reward, which would otherwise be ln(1/0) for certainly real samples.
+# The logistic reward is -ln(p); this least p keeps it finite.
 _MIN_FAKE_PROBABILITY = 1e-4
 
 # --- layers ----------------------------------------------------------------------------------
 
 
 class DiscriminatorLayers:
-    """Mixin: a discriminator's layers under the names of IsaacGymEnvs' checkpoints."""
+    """Mixin with the discriminator's layers, which have the names of IsaacGymEnvs' checkpoints."""
 
     _disc_mlp: nn.Module
     _disc_logits: nn.Linear
 
     def _set_disc_layers(self, hidden: nn.Module, width: int) -> None:
-        """Set the hidden layers (`width` outputs), and make the last layer."""
+        """Set the hidden layers, which have `width` outputs, and create the last layer."""
         self._disc_mlp = hidden
         self._disc_logits = nn.Linear(width, 1)
         nn.init.uniform_(self._disc_logits.weight, -DISC_LOGIT_INIT_SCALE, DISC_LOGIT_INIT_SCALE)
         nn.init.zeros_(self._disc_logits.bias)
 
     def eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
-        """Return logits (n, 1) of normalised AMP observations (n, F); subclasses take latents."""
+        """Return logits (n, 1) of normalised AMP observations (n, F).
+
+        Some subclasses also need latents.
+        """
         return self._disc_logits(self._disc_mlp(amp_obs))
 
     def eval_disc_with_gradient(self, amp_obs: Tensor, *latents: Tensor) -> tuple[Tensor, Tensor]:
-        """Return `eval_disc` and its gradients (n, F) by the rows, differentiable once more."""
+        """Return logits (n, 1) and their gradients (n, F) with respect to the AMP observations.
+
+        The gradients are differentiable.
+        """
         with torch.enable_grad():
-            # A caller may differentiate by rows that already require gradients.
+            # The caller may need gradients with respect to `amp_obs`, which then already requires
+            # them.
             amp_obs = amp_obs if amp_obs.requires_grad else amp_obs.detach().requires_grad_()
             logits = self.eval_disc(amp_obs, *latents)
-        # Backward passes run in the precision of their forward pass, without autocast.
+        # Autocast is off here: a backward pass uses the precision of its forward pass.
         with torch.autocast(amp_obs.device.type, enabled=False):
             return logits, input_gradient(logits, amp_obs)
 
@@ -71,13 +78,13 @@ class DiscriminatorLayers:
 
 
 def input_gradient(outputs: Tensor, inputs: Tensor) -> Tensor:
-    """Return gradients (K, F) of outputs (K, 1) by inputs (K, F), row by row, differentiable."""
+    """Return the gradient (K, F) of each output (K, 1) with respect to its input row (K, F)."""
     (gradient,) = torch.autograd.grad(outputs, inputs, torch.ones_like(outputs), create_graph=True)
     return gradient
 
 
 class StyleNetwork(DiscriminatorLayers, nn.Module):
-    """A discriminator in a network of its own, with ReLUs after layers of sizes `units`."""
+    """A separate discriminator network; its hidden layers have the sizes `units` and ReLUs."""
 
     def __init__(self, amp_obs_size: int, units: Sequence[int]) -> None:
         super().__init__()
@@ -93,17 +100,19 @@ class StyleNetwork(DiscriminatorLayers, nn.Module):
 def eval_discriminator(
     network: Any, agent: Sequence[Tensor], replay: Sequence[Tensor], demo: Sequence[Tensor]
 ) -> dict[str, Tensor]:
-    """Evaluate the discriminator on the policy's, replayed and reference AMP observations.
+    """Return the discriminator's logits for AMP observations of policy, replay buffer and clips.
 
     Args:
-        network: has `DiscriminatorLayers`.
-        agent: normalised rows (K, F) and, for a conditional discriminator, latents (K, Z).
-        replay: rows and latents of replayed AMP observations.
-        demo: rows and latents of the clips.
+        network: a network with `DiscriminatorLayers`.
+        agent: normalised AMP observations (K, F) of the policy and, for a conditional
+            discriminator, latents (K, Z).
+        replay: AMP observations and latents from the replay buffer.
+        demo: AMP observations and latents of the clips.
 
     Returns:
         `disc_agent_logit`, `disc_agent_replay_logit`, `disc_demo_logit` (K, 1), and
-        `disc_demo_gradient` (K, F), the gradients of `disc_demo_logit` by its rows.
+        `disc_demo_gradient` (K, F), the gradients of `disc_demo_logit` with respect to the AMP
+        observations of the clips.
     """
     fakes = [torch.cat(pair) for pair in zip(agent, replay, strict=True)]
     agent_logit, replay_logit = network.eval_disc(*fakes).split(len(agent[0]))
@@ -121,14 +130,14 @@ def eval_discriminator(
 
 @dataclass(frozen=True)
 class AMPObsShape:
-    """Shape of a task's AMP observations: F, and the control steps in them, the newest first."""
+    """The size of a task's AMP observations, and the number of control steps that they hold."""
 
     size: int
     num_steps: int
 
     @classmethod
     def from_task(cls, env: AMPObsEnv) -> AMPObsShape:
-        """Return a task's shape; the default is one control step."""
+        """Return the shape of a task's AMP observations; by default they hold one control step."""
         return cls(env.amp_observation_space.shape[0], getattr(env, "num_amp_obs_steps", 1))
 
 
@@ -146,13 +155,13 @@ def disc_obs_size(shape: AMPObsShape, params: AMPParams) -> int:
 
 
 class StyleDiscriminator:
-    """Rewards AMP observations that look like the reference motions.
+    """A discriminator with a reward for AMP observations that look like the reference motions.
 
-    `disc_reward`, `least_squares` or `logistic`, is the default of `params.disc_reward`.
+    `disc_reward` (`least_squares` or `logistic`) is used if `params.disc_reward` is None.
 
     Attributes:
-        normalizer: running mean and variance outside of the model; None without
-            `normalize_amp_input`.
+        normalizer: running mean and variance of AMP observations (no part of the model), or None if
+            `normalize_amp_input` is False.
         grad_penalty: current weight of the gradient penalty in the loss.
     """
 
@@ -177,7 +186,7 @@ class StyleDiscriminator:
 
     @property
     def checkpoint_modules(self) -> dict[str, nn.Module]:
-        """Modules of a checkpoint in addition to the model, by their keys."""
+        """The modules that a checkpoint stores in addition to the model, by their keys."""
         return {} if self.normalizer is None else {"amp_input_mean_std": self.normalizer}
 
     def truncate(self, amp_obs: Tensor) -> Tensor:
@@ -185,7 +194,7 @@ class StyleDiscriminator:
         return amp_obs[..., : self._size].to(self._device)
 
     def normalize(self, amp_obs: Tensor) -> Tensor:
-        """Return AMP observations (n, F), truncated and normalised by the current statistics."""
+        """Truncate AMP observations (n, F), and normalise them with the current statistics."""
         amp_obs = amp_obs[..., : self._size]
         if self.normalizer is None:
             return amp_obs
@@ -195,7 +204,7 @@ class StyleDiscriminator:
     def logits(
         self, amp_obs: Tensor, *latents: Tensor, normalize: Callable[[Tensor], Tensor] | None = None
     ) -> Tensor:
-        """Return logits (..., 1) of raw AMP observations (..., F) without gradients."""
+        """Return logits (..., 1) of AMP observations (..., F) that are not normalised yet."""
         inputs = normalize or self.normalize
         return evaluate_in_chunks(
             lambda rows, *given: self.network.eval_disc(inputs(rows), *given), amp_obs, *latents
@@ -210,7 +219,7 @@ class StyleDiscriminator:
         return self.reward_from_logits(self.logits(amp_obs, *latents))
 
     def reward_from_logits(self, logits: Tensor) -> Tensor:
-        """Return style rewards for discriminator logits of any shape; see `reward`."""
+        """Return the style reward of each discriminator logit; the formulas are in `reward`."""
         if self._reward_kind == "logistic":
             # sigmoid(-d) is 1 - sigmoid(d) without cancellation for large d.
             reward = -torch.log(torch.sigmoid(-logits).clamp(min=_MIN_FAKE_PROBABILITY))
@@ -220,7 +229,7 @@ class StyleDiscriminator:
 
 
 class StyleRewards:
-    """Mixin of AMP agents and players: their published reward methods."""
+    """Mixin with the published reward methods of AMP agents and players."""
 
     discriminator: StyleDiscriminator
 
@@ -229,7 +238,7 @@ class StyleRewards:
         return {"disc_rewards": self._calc_disc_rewards(amp_obs)}
 
     def _reward_latents(self) -> tuple[Tensor, ...]:
-        """Return inputs of the rewards in addition to AMP observations."""
+        """Return the latents that the reward function needs in addition to AMP observations."""
         return ()
 
     def _calc_disc_rewards(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
@@ -249,7 +258,7 @@ class StyleRewards:
 
 
 class StyleLosses(StyleRewards):
-    """Mixin of AMP agents: their published loss methods, which several threads call."""
+    """Mixin with the published loss methods of AMP agents, which several threads call."""
 
     def _disc_loss(
         self,
@@ -261,11 +270,13 @@ class StyleLosses(StyleRewards):
         """Return the discriminator's loss and values to log, as in IsaacGymEnvs.
 
         Args:
-            disc_agent_logit: (2K, 1) logits of the policy's and of replayed observations.
+            disc_agent_logit: (2K, 1) logits of observations from the policy and from the replay
+                buffer.
             disc_demo_logit: (K, 1) logits of observations of the clips.
-            obs_demo: (K, F) inputs of `disc_demo_logit`.
-            disc_demo_gradient: (K, F) gradients of `disc_demo_logit` by `obs_demo`, differentiable.
-                None computes them here.
+            obs_demo: (K, F) AMP observations of the clips, for which `disc_demo_logit` was
+                computed.
+            disc_demo_gradient: (K, F) differentiable gradients of `disc_demo_logit` with respect to
+                `obs_demo`. If `disc_demo_gradient` is None, this method computes the gradients.
 
         Returns:
             `disc_loss` (weighted sum of prediction, logit regularisation, gradient penalty and
@@ -313,5 +324,5 @@ class StyleLosses(StyleRewards):
     def _compute_disc_acc(
         self, disc_agent_logit: Tensor, disc_demo_logit: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Return the classification accuracies on the policy's rows and on demonstrations."""
+        """Return the accuracies for AMP observations of the policy and of the clips."""
         return (disc_agent_logit < 0.0).float().mean(), (disc_demo_logit > 0.0).float().mean()

@@ -16,7 +16,8 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
     """rl_games' statistics, with the same names in checkpoints, but faster on a CPU.
 
     torch's `var` reduces columns slowly and took 7% of AMP's update. The mean of squared deviations
-    gives the same value ten times as fast. `memory` is the number of rows that the statistics keep.
+    gives the same value ten times as fast. If `memory` is given, older rows lose weight, and the
+    statistics describe about that many rows.
     """
 
     def __init__(self, insize: tuple[int, ...], memory: int | None = None) -> None:
@@ -24,7 +25,10 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
         self.memory = memory
 
     def forward(self, input: Tensor, denorm: bool = False, mask: Tensor | None = None) -> Tensor:
-        """Normalise rows (n, ...) to +-5 (or back); training mode first counts them in."""
+        """Normalise rows (n, ...) and clamp them to +-5, or undo this if `denorm` is True.
+
+        In training mode, the rows first update the statistics.
+        """
         if denorm or mask is not None or self.per_channel or self.norm_only:
             return super().forward(input, denorm, mask)
         if self.training:
@@ -34,7 +38,7 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
 
     @torch.no_grad()
     def count_in(self, *kinds: Tensor) -> None:
-        """Update the statistics by one tensor of rows (n, ...) after another, in any mode."""
+        """Update the statistics with each tensor of rows (n, ...) in turn, in any mode."""
         if current_group().size > 1:
             count_in_jointly([(self, *kinds)])
             return
@@ -53,7 +57,7 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
 
 @torch.no_grad()
 def count_in_jointly(inputs: list[tuple[Any, ...]]) -> None:
-    """Update statistics, each with its tensors of rows (n, ...), by the rows of all processes."""
+    """Update each normaliser with its tensors of rows (n, ...) from all processes."""
     kinds = [(each.running_mean, rows) for each, *several in inputs for rows in several]
     moments = iter(joined_moments(kinds))
     for each, *several in inputs:
@@ -75,7 +79,10 @@ def replace_normalizers(model: nn.Module) -> None:
 
 
 def normalize_advantages(advantages: Tensor, mask: Tensor | None = None) -> Tensor:
-    """Return advantages (n,), normalised by rows of all processes with `mask` (n,) 1 (or all)."""
+    """Return advantages (n,), normalised with mean and deviation over the rows of all processes.
+
+    If `mask` (n,) is given, only rows with mask 1 count.
+    """
     if current_group().size > 1:
         return normalize_jointly(advantages, torch.ones_like(advantages) if mask is None else mask)
     if mask is not None:
@@ -84,9 +91,9 @@ def normalize_advantages(advantages: Tensor, mask: Tensor | None = None) -> Tens
 
 
 def normalize_masked(values: Tensor, mask: Tensor) -> Tensor:
-    """Return values (n,), normalised by mean and standard deviation of rows with mask (n,) 1.
+    """Return values (n,), normalised with mean and standard deviation of the rows with mask 1.
 
-    The variance is unbiased. With fewer than two counted rows the values are unchanged.
+    The variance is unbiased. If fewer than two rows have mask 1, the values are returned unchanged.
     """
     count = mask.sum()
     if count < 2:

@@ -1,4 +1,4 @@
-"""The skill encoder, which infers the latent from the motion: rewards and loss.
+"""Reward and loss of the skill encoder, which infers the policy's latent from its motion.
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
 The encoder's layers belong to the actor-critic network.
@@ -18,7 +18,7 @@ from isaacgymenvs_lite.learning.cpu.parallel import evaluate_in_chunks
 
 
 class SkillEncoder:
-    """Infers the policy's latents from AMP observations (n, F), which `normalize` normalises."""
+    """Infers the policy's latents from AMP observations, which `normalize` normalises first."""
 
     def __init__(
         self, network: Any, normalize: Callable[[Tensor], Tensor], params: GenAMPParams
@@ -28,16 +28,19 @@ class SkillEncoder:
         self._params = params
 
     def reward(self, amp_obs: Tensor, latents: Tensor) -> Tensor:
-        """Return max(q(x) . z, 0) * enc_reward_scale, (..., 1), for raw x (..., F), z (..., Z)."""
+        """Return rewards (..., 1): max(q(x) . z, 0) * enc_reward_scale.
+
+        The arguments are AMP observations x (..., F), not normalised yet, and latents z (..., Z).
+        """
         return self.reward_from_latents(self.read(amp_obs), latents)
 
     def reward_from_latents(self, found: Tensor, latents: Tensor) -> Tensor:
-        """Return `reward` for inferred and actual latents (..., Z)."""
+        """Return the encoder's reward, given the inferred and the policy's latents (..., Z)."""
         agreement = (found * latents).sum(dim=-1, keepdim=True)
         return agreement.clamp(min=0.0) * self._params.enc_reward_scale
 
     def read(self, amp_obs: Tensor) -> Tensor:
-        """Return the latents q(x) (..., Z), unit vectors, of AMP observations (..., F)."""
+        """Return the latents (..., Z) that the encoder infers from AMP observations (..., F)."""
         return evaluate_in_chunks(
             lambda rows: self._network.eval_enc(self._normalize(rows)), amp_obs
         )
@@ -45,11 +48,11 @@ class SkillEncoder:
     def loss(
         self, found: Tensor, latents: Tensor, gradient: Tensor | None = None
     ) -> dict[str, Tensor]:
-        """Return `enc_loss` and, with a gradient, the unweighted `enc_grad_penalty`.
+        """Return `enc_loss` and, if `gradient` is given, the unweighted `enc_grad_penalty`.
 
         `enc_loss` is the mean of -q . z, plus weight decay and gradient penalty. q (`found`) are
-        inferred latents and z the policy's, (K, Z) each. `gradient` (K, F) is the gradient of -q .
-        z by the normalised AMP observations, differentiable.
+        the inferred latents and z the policy's latents, (K, Z) each. `gradient` (K, F) is the
+        differentiable gradient of -q . z with respect to the normalised AMP observations.
         """
         loss = -(found.float() * latents).sum(dim=-1).mean()
         if self._params.enc_weight_decay != 0.0:
@@ -63,11 +66,14 @@ class SkillEncoder:
 
 
 class SkillRewards:
-    """Mixin of GenAMP agents and players: published reward methods; precedes AMP's class."""
+    """Mixin with the published reward methods of GenAMP agents and players.
+
+    In a list of base classes, this mixin stands before AMP's class.
+    """
 
     model: Any
     encoder: SkillEncoder
-    # Attributes of AMP's class.
+    # AMP's class sets these attributes.
     _amp: Any
     _calc_disc_rewards: Any
     _reward_latents: Any
@@ -75,17 +81,17 @@ class SkillRewards:
 
     @property
     def _observes_goal(self) -> bool:
-        """Whether the policy observes the goal: only if `task_reward_w` is not 0."""
+        """Whether the policy observes the task's goal, which it ignores if `task_reward_w` is 0."""
         return self._amp.task_reward_w != 0.0
 
     def _sizes_of_inputs(self, env: Any) -> dict[str, Any]:
-        """Return the network's sizes of latents and of observations (without an ignored goal)."""
+        """Return the sizes of the network's latents and observations, without an ignored goal."""
         of_goal = 0 if self._observes_goal else goal_size(env)
         self.num_policy_obs = self.obs_shape[0] - of_goal
         return {"amp_latent_shape": (self._amp.latent_dim,), "input_shape": (self.num_policy_obs,)}
 
     def _preproc_obs(self, obs: Any) -> Any:
-        """Remove an ignored goal from observations (..., O), then preprocess them as rl_games."""
+        """Remove an ignored goal from observations (..., O), and call rl_games' method."""
         base: Any = super()
         return base._preproc_obs(obs[..., : self.num_policy_obs])
 
@@ -98,7 +104,8 @@ class SkillRewards:
     ) -> dict[str, Tensor]:
         """Return "disc_rewards" and "enc_rewards" (..., 1) of raw AMP observations (..., F).
 
-        `ase_latents` (..., Z) are the policy's latents; None takes the latents of the rollout.
+        `ase_latents` (..., Z) are the policy's latents. If `ase_latents` is None, the latents of
+        the rollout are used.
         """
         latents = self._reward_latents()[0] if ase_latents is None else ase_latents
         of_disc = (latents,) if self._disc_is_conditional else ()

@@ -1,1 +1,1 @@
-"""Latents of skills and the low-level policy that a high level steers."""
+"""Skill latents, and the low-level policy that a high-level policy controls through latents."""

@@ -1,10 +1,10 @@
-"""Skill latents (unit vectors), and the schedule of their changes.
+"""Skill latents (unit vectors that select a skill of the policy), and when they change.
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
 A policy with only random latents, as in ASE, must find every skill by exploration, and often
-learns only to stand in many ways. `ClipLatents` gives some episodes that start in a clip the latent
-that the encoder infers from the clip. Continuing the clip then earns the encoder's reward. CALM
-(Tessler et al. 2023, arXiv 2305.02195) infers all latents from clips.
+learns only to stand in many ways. Some episodes start in a pose of a clip, and `ClipLatents` gives
+them the latent that the encoder infers from the clip. A policy that then continues the clip earns
+the encoder's reward. CALM (Tessler et al. 2023, arXiv 2305.02195) infers all latents from clips.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ def latent_space(latent_dim: int) -> gymnasium.spaces.Box:
 class LatentSchedule(Stateful):
     """The latents of N environments, each kept for `steps_min` to `steps_max` - 1 control steps.
 
-    `draw` returns n latents (n, Z), unit vectors; by default they are random.
+    `draw` returns n unit vectors (n, Z), which are random by default.
 
     Attributes:
-        latents: (N, Z) current latents; changes replace the tensor.
-        change_at: (N,) control steps of the episodes after which the latents change.
+        latents: (N, Z) current latents; a change creates a new tensor.
+        change_at: (N,) control step of each episode after which the latent changes.
     """
 
     stored = ("latents", "change_at")
@@ -64,18 +64,18 @@ class LatentSchedule(Stateful):
         self.change_at = self._draw_steps(num_envs)
 
     def restart(self, env_ids: Tensor, latents: Tensor | None = None) -> None:
-        """Give new episodes in environments (n,) new latents, or the given `latents` (n, Z)."""
+        """Start new episodes in environments (n,) with `latents` (n, Z), or with drawn ones."""
         if len(env_ids) == 0:
             return
         self._renew(env_ids, self._draw(len(env_ids)) if latents is None else latents)
         self.change_at[env_ids] = self._draw_steps(len(env_ids))
 
     def is_over(self, progress: Tensor) -> Tensor:
-        """Return (N,) bool: whether latents end before the step after `progress` (N,) steps."""
+        """Return (N,) bool, whether each latent changes after `progress` (N,) control steps."""
         return self.change_at <= progress
 
     def advance(self, progress: Tensor) -> Tensor:
-        """Replace latents that end after `progress` (N,) steps; return their environments (n,)."""
+        """Replace latents that change after `progress` (N,) steps; return the environments (n,)."""
         env_ids = self.is_over(progress).nonzero().flatten()
         if len(env_ids) > 0:
             self._renew(env_ids, self._draw(len(env_ids)))
@@ -83,7 +83,7 @@ class LatentSchedule(Stateful):
         return env_ids
 
     def _renew(self, env_ids: Tensor, latents: Tensor) -> None:
-        # The rollout keeps the old tensor.
+        # A new tensor is made, because the rollout still refers to the old one.
         self.latents = self.latents.clone()
         self.latents[env_ids] = latents
 
@@ -92,10 +92,11 @@ class LatentSchedule(Stateful):
 
 
 class ClipLatents:
-    """Draws latents: inferred from a clip with probability `share`, otherwise random.
+    """Draws latents that are inferred from a clip with probability `share`, and otherwise random.
 
-    `read` is the encoder, from AMP observations (n, F) to latents (n, Z). `fetch` returns n AMP
-    observations of the clips, and `sample` n random latents (default: uniform on the sphere).
+    `read` is the encoder, a function from AMP observations (n, F) to latents (n, Z). `fetch(n)`
+    returns n AMP observations of the clips. `sample(n)` returns n random latents; by default they
+    are uniform on the sphere.
     """
 
     def __init__(
@@ -113,7 +114,7 @@ class ClipLatents:
         self._sample = sample
 
     def draw(self, n: int, device: str | torch.device = "cpu") -> Tensor:
-        """Return latents (n, Z), random or inferred from random moments of the clips."""
+        """Return latents (n, Z), random or inferred from random AMP observations of the clips."""
         latents, chosen = self.random(n, device)
         if len(chosen) > 0:
             latents[chosen] = self._read(self._fetch(len(chosen)))
@@ -122,7 +123,7 @@ class ClipLatents:
     def for_starts(self, amp_obs: Tensor) -> tuple[Tensor, Tensor]:
         """Return latents (n, Z) for episodes that start with AMP observations (n, F).
 
-        The second tensor (k,) has the rows whose latents were inferred from their starts.
+        The second result (k,) contains the indices of the latents that the encoder inferred.
         """
         latents, chosen = self.random(len(amp_obs), amp_obs.device)
         if len(chosen) > 0:
@@ -130,31 +131,32 @@ class ClipLatents:
         return latents, chosen
 
     def random(self, n: int, device: str | torch.device) -> tuple[Tensor, Tensor]:
-        """Return random latents (n, Z), and the rows (k,) for latents of clips."""
+        """Return random latents (n, Z), and indices (k,) of the ones to replace by clip latents."""
         sample = self._sample or (lambda k: sample_latents(k, self._latent_dim, device))
         latents = sample(n).to(device)
-        if self._share == 0.0:  # Draws no random numbers.
+        if self._share == 0.0:  # The random generator is not advanced.
             return latents, torch.empty(0, dtype=torch.int64, device=device)
         chosen = torch.rand(n, device=device) < self._share
         return latents, chosen.nonzero().flatten()
 
 
 def sample_similar_rows(latents: Tensor, found: Tensor, sharpness: float) -> Tensor:
-    """Draw a similar row of the clips for each latent z (m, Z); return m indices into `found`.
+    """Draw a row of the clips with a similar latent for each z (m, Z); return m indices of `found`.
 
-    `found` (n, Z) are latents q inferred from rows of the clips. The probability of a row is
-    proportional to exp(sharpness * z . q) (von Mises and Fisher).
+    `found` (n, Z) are latents q that the encoder inferred from n rows of the clips. The probability
+    of a row is proportional to exp(sharpness * z . q) (von Mises and Fisher).
     """
     scores = sharpness * latents @ found.t()
-    # The maximum of scores with Gumbel noise samples rows with probabilities exp(score).
+    # The row with the largest sum of score and Gumbel noise is a sample with probability ~
+    # exp(score).
     noise = torch.empty_like(scores).exponential_().log_()
     return (scores - noise).argmax(dim=-1)
 
 
 class EvaluationLatents:
-    """The latents of a task that is played or evaluated; call it before each policy step.
+    """Computes the latents of a played or evaluated task; call the object before each policy step.
 
-    `interpolate` moves the latents gradually along the sphere.
+    If `interpolate` is True, each latent moves gradually along the sphere to the next latent.
     """
 
     def __init__(self, schedule: LatentSchedule, interpolate: bool = False) -> None:
@@ -173,7 +175,8 @@ class EvaluationLatents:
         schedule.advance(progress)
         if not self._interpolate:
             return schedule.latents
-        # An episode starts at its first latent; each later arc starts at the end of the arc before.
+        # The first arc of an episode starts at its first latent, and every other arc where the last
+        # arc ended.
         start = torch.where(is_new.unsqueeze(-1), schedule.latents, target)
         self._before = torch.where(changes.unsqueeze(-1), start, self._before)
         self._since = torch.where(changes, progress.to(self._since.dtype), self._since)
@@ -182,13 +185,13 @@ class EvaluationLatents:
 
 
 def interpolate_on_sphere(start: Tensor, end: Tensor, share: Tensor) -> Tensor:
-    """Return unit vectors (n, Z) on the great circles from `start` to `end` (n, Z).
+    """Return unit vectors (n, Z) on the great circles from `start` (n, Z) to `end` (n, Z).
 
-    `share` (n,) is the share of the angle: 0 gives `start`, 1 gives `end`. Start and end must not
-    be opposite.
+    `share` (n,) is the fraction of the angle: 0 gives `start`, 1 gives `end`. `start` and `end`
+    must not be opposite vectors.
     """
     cosine = (start * end).sum(dim=-1, keepdim=True).clamp(-1.0, 1.0)
     angle, share = cosine.acos(), share.unsqueeze(-1)
     point = torch.sin((1.0 - share) * angle) * start + torch.sin(share * angle) * end
-    # sin(angle) is 0 where start and end coincide.
+    # The division by sin(angle) is avoided where `start` and `end` coincide.
     return torch.where(angle < 1e-4, start, F.normalize(point, dim=-1))

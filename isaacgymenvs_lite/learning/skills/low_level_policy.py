@@ -1,4 +1,4 @@
-"""The frozen low-level controller of a hierarchy: latents in, actions out."""
+"""The frozen low-level controller of a hierarchy: it maps observations and latents to actions."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ _RL_DEVICES = ("cpu", "cuda:0")
 
 @dataclass(frozen=True)
 class LowLevelSizes:
-    """A low-level controller's sizes in a task.
+    """Sizes of observations and actions that a low-level controller has in a task.
 
     Attributes:
-        num_obs: dimension of an observation, including the task's features.
-        num_task_obs: dimension of the task's features, the last entries of an observation.
+        num_obs: dimension of the task's observation, including the task features.
+        num_task_obs: dimension of the task features, which are the last entries of an observation.
     """
 
     num_obs: int
@@ -55,7 +55,7 @@ class LowLevelSizes:
 
     @classmethod
     def from_task(cls, env: HierarchyEnv) -> LowLevelSizes:
-        """Return the sizes in a task."""
+        """Return the sizes for a task."""
         return cls(
             num_obs=env.observation_space.shape[0],
             num_task_obs=env.get_task_obs_size(),
@@ -65,22 +65,22 @@ class LowLevelSizes:
 
 
 class LowLevelPolicy:
-    """A trained GenAMP policy that never changes: evaluation mode, no gradients.
+    """A trained GenAMP policy in evaluation mode, which is never trained here.
 
     Args:
         llc_config: train file of the policy. A packed policy's own settings replace the file's.
         llc_checkpoint: checkpoint of the policy, or the name of a shipped policy.
-        sizes: the controller's sizes in the task.
-        device: device of networks and results.
-        precision: replaces `mixed_precision: auto` of the train file.
+        sizes: sizes of observations and actions in the task.
+        device: device of the networks and of all returned tensors.
+        precision: value that is used if the train file has `mixed_precision: auto`.
 
     Attributes:
-        discriminator: the controller's style reward.
+        discriminator: the controller's discriminator, which computes style rewards.
         encoder: infers latents from motion.
-        reference: identifies the controller in a checkpoint of the high level.
+        reference: entry of a high-level checkpoint that identifies this controller.
 
     Raises:
-        ConfigError: the train file is not of a GenAMP policy.
+        ConfigError: the train file does not describe a GenAMP policy.
         CheckpointError: the checkpoint does not fit the file or the task.
     """
 
@@ -134,7 +134,7 @@ class LowLevelPolicy:
         self._high = torch.from_numpy(sizes.action_space.high.copy()).to(self._device)
 
     def _load(self, state: dict[str, Any], checkpoint: str, llc_config: str) -> None:
-        """Load a checkpoint, with its own message for each size that depends on the task."""
+        """Load a checkpoint; raise CheckpointError if a size does not fit the task."""
         own = self.model.state_dict()
         for key, what, source in (
             ("a2c_network.critic_mlp._mlp.0.weight", "observation and latent", "the task has"),
@@ -161,7 +161,7 @@ class LowLevelPolicy:
             module.load_state_dict(fitted[key])
 
     def extract_obs(self, obs: Tensor) -> Tensor:
-        """Return observations (n, O) without the task's features."""
+        """Remove the task features from observations (n, O)."""
         return obs[:, : self.num_character_obs]
 
     def actions(self, obs: Tensor, latents: Tensor) -> Tensor:
@@ -177,10 +177,11 @@ class LowLevelPolicy:
         steps: int,
         act: Callable[[Tensor, Tensor], Tensor] | None = None,
     ) -> Callable[[Tensor], Tensor]:
-        """Return a policy from raw observations (n, O) to actions (n, A); a call is a control step.
+        """Return a function from raw observations (n, O) to actions (n, A), called once per step.
 
-        Every `steps` calls `choose` maps observations to new latents (n, Z). `act` maps
-        observations and latents to actions; by default it is `actions`.
+        Every `steps` control steps, the function calls `choose`, which maps observations to new
+        latents (n, Z). `act` maps observations and latents to actions; its default is the method
+        `actions`.
         """
         chosen, step, actions_of = torch.empty(0), 0, act or self.actions
 
@@ -196,7 +197,8 @@ class LowLevelPolicy:
     def style_reward(self, amp_obs: Tensor, latents: Tensor | None = None) -> Tensor:
         """Return style rewards (n, 1) of raw AMP observations (n, F).
 
-        A conditional discriminator judges `latents` (n, Z); None takes the encoder's.
+        A conditional discriminator also receives `latents` (n, Z). If `latents` is None, the
+        encoder infers the latents from the AMP observations.
         """
         if not self.model.a2c_network.disc_is_conditional:
             return self.discriminator.reward(amp_obs)
@@ -206,7 +208,7 @@ class LowLevelPolicy:
 
 
 def _model_builder(train_params: dict[str, Any], llc_config: str) -> Any:
-    """Return the unbuilt model of a train file, which a user may have registered."""
+    """Return the model that a train file names, before its network is built."""
     network, registered = train_params.get("network") or {}, model_builder.ModelBuilder()
     try:
         builder = registered.network_builder.network_factory.create(network.get("name"))
@@ -225,7 +227,7 @@ def _model_builder(train_params: dict[str, Any], llc_config: str) -> Any:
 
 
 def find_llc_checkpoint(llc_checkpoint: str) -> Path:
-    """Return the file of a low-level controller, given its path or a shipped policy's name."""
+    """Return a low-level controller's checkpoint, given its path or a shipped policy's name."""
     shipped = shipped_policies()
     path = shipped.get(llc_checkpoint) or user_path(llc_checkpoint)
     if llc_checkpoint and path.is_file():
@@ -240,10 +242,10 @@ def find_llc_checkpoint(llc_checkpoint: str) -> Path:
 
 
 def _train_params(llc_config: str, state: dict[str, Any]) -> dict[str, Any]:
-    """Return the section `params` of a checkpoint's training.
+    """Return the section `params` of the training that wrote a checkpoint.
 
-    The networks of a train file may depend on the training's device. The returned variant has the
-    checkpoint's layers.
+    A train file may have different networks for CPU and GPU. The variant whose layers are in the
+    checkpoint is returned.
     """
     variants = []
     for device in _RL_DEVICES:
@@ -259,5 +261,5 @@ def _train_params(llc_config: str, state: dict[str, Any]) -> dict[str, Any]:
 
 
 def latents_of_actions(actions: Tensor) -> Tensor:
-    """Return high-level actions (n, Z), scaled to unit vectors."""
+    """Scale high-level actions (n, Z) to unit vectors."""
     return F.normalize(actions, dim=-1)

@@ -1,9 +1,10 @@
 """Reads and writes clips in DeepMimic's text format (JSON).
 
-A clip is {"Loop": "wrap" or "none", "Frames": rows of 44 values}. A row holds the duration (s), the
-root position and rotation, and the rotations of 12 joints in the tree of our humanoid. The file's
-axes are x forward, y up, z right; ours are x forward, y left, z up. "wrap" clips are not repeated.
-Hands keep their zero pose, because the format has no hands.
+A clip is {"Loop": "wrap" or "none", "Frames": rows of 44 values}. A row holds the duration of the
+frame (s), the root's position and rotation, and the rotations of 12 joints of the humanoid. The
+axes of a file are x forward, y up, z right; the axes of this project are x forward, y left, z up.
+Clips with "wrap" are not repeated here. The format has no hands, therefore hands keep their zero
+pose.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from isaacgymenvs_lite.utils import rotations
 
 PREFIX = "deepmimic:"
 _PACKAGE = "pybullet_data"
-# Patterns of the humanoid clips by folder; other files are of a dog.
+# Patterns of the humanoid clips' file names by folder; other files are clips of a dog.
 _PACKAGE_FOLDERS = {"": "humanoid3d_*.txt", "walker": "*.txt"}
 _SHORT_FOR = "humanoid3d_"
 
@@ -49,13 +50,13 @@ _KINDS = {
     "dance": ("humanoid3d_dance_a", "humanoid3d_dance_b"),
 }
 _KIND_OF = {clip: kind for kind, clips in _KINDS.items() for clip in clips}
-# Gaits with a steady speed.
+# Kinds of movement with a steady speed.
 _LOCOMOTION = ("walk", "turn", "run")
 _LOCOMOTION_SET, _ALL_SET = "locomotion", "all"
 
 
 class PackageClip(NamedTuple):
-    """A clip of the package with its full name; the weights of a data set have the sum 1."""
+    """A clip of the package, with its full name and its weight in a data set (with sum 1)."""
 
     name: str
     path: Path
@@ -63,24 +64,26 @@ class PackageClip(NamedTuple):
 
 
 def is_package_name(motion_file: str | Path) -> bool:
-    """Return whether `motion_file` names a clip or a data set of the package."""
+    """Return whether `motion_file` is the name of a clip or a data set in the package."""
     return str(motion_file).startswith(PREFIX)
 
 
 def clips_in_package() -> list[str]:
-    """Return the full names of all clips, for example `deepmimic:humanoid3d_walk`."""
+    """Return the full names of all clips in the package, such as `deepmimic:humanoid3d_walk`."""
     return [PREFIX + name for name in _paths_of_clips(PREFIX + _ALL_SET)]
 
 
 def find_in_package(motion_file: str) -> list[PackageClip]:
     """Return the clip, or all clips of the data set, with the name `deepmimic:<name>`.
 
-    `walk` is short for `humanoid3d_walk`; `walker/turn_left0` is a clip of the folder walker. The
-    data set `locomotion` holds walking, turning and running; `all` holds every clip. Each kind of
-    movement has the same weight, and its clips share it; a clip of unknown kind is its own kind.
+    `walk` is short for `humanoid3d_walk`; `walker/turn_left0` is a clip in the folder walker. The
+    data set `locomotion` contains walking, turning and running; `all` contains every clip. Each
+    kind of movement has the same weight, which its clips share equally. A clip of unknown kind
+    counts as a separate kind.
 
     Raises:
-        MotionFileError: the package is not installed, or has no clip or data set of this name.
+        MotionFileError: the package is not installed, or contains no clip or data set with this
+            name.
     """
     name = motion_file.removeprefix(PREFIX)
     paths = _paths_of_clips(motion_file)
@@ -109,7 +112,7 @@ def find_in_package(motion_file: str) -> list[PackageClip]:
 
 
 def _paths_of_clips(motion_file: str) -> dict[str, Path]:
-    """Return the files of all clips by their full names without prefix, sorted."""
+    """Return the files of all clips, sorted by their full names without the prefix."""
     spec = importlib.util.find_spec(_PACKAGE)
     if spec is None or not spec.submodule_search_locations:
         raise MotionFileError(
@@ -129,7 +132,7 @@ _log = logging.getLogger(__name__)
 
 NUM_COLUMNS = 44
 DURATION, ROOT_POSITION, ROOT_ROTATION = 0, slice(1, 4), slice(4, 8)
-# First column of the quaternion (w, x, y, z) of each ball joint, then the columns of hinge angles.
+# The first column of each ball joint's quaternion (w, x, y, z), and the column of each hinge angle.
 BALL_COLUMNS = {
     "torso": 8,
     "head": 12,
@@ -142,25 +145,26 @@ BALL_COLUMNS = {
 }
 HINGE_COLUMNS = {"right_shin": 20, "right_lower_arm": 29, "left_shin": 34, "left_lower_arm": 43}
 MOVED_BODIES = (*BALL_COLUMNS, *HINGE_COLUMNS)
-# Differences of durations below this share of the median are rounding.
+# Durations whose relative difference from the median is smaller than this count as equal.
 _DURATION_TOLERANCE = 1e-3
-# The lengths of published quaternions differ from 1 by up to 0.42 (in kick).
+# The lengths of quaternions in published clips differ from 1 by up to 0.42 (in kick).
 _LENGTH_TOLERANCE = 0.5
-_LOGGED_LIFT_M = 5e-4  # smaller lifts are rounding
+_LOGGED_LIFT_M = 5e-4  # smaller lifts are not logged
 _DECIMALS = 9
 
 
 def load_deepmimic(path: str | Path, skeleton: Skeleton, name: str | None = None) -> MotionClip:
-    """Read a file in DeepMimic's format; the clip's name is by default the path."""
+    """Read a clip from a file in DeepMimic's format; its default name is the path."""
     return clip_from_deepmimic(read_json(path), skeleton, name or str(path))
 
 
 def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> MotionClip:
-    """Make a clip from the content of a DeepMimic file; `skeleton` gives the limb lengths.
+    """Make a clip from the content of a DeepMimic file; the limb lengths are those of `skeleton`.
 
-    Frames of unequal duration are resampled. A clip with a foot below the ground is lifted by a
-    constant until the lowest corner of a foot touches the ground. If the whole body is then above
-    the ground, `plausibility.put_on_ground` lowers it again. Velocities are smoothed differences.
+    Frames of unequal duration are resampled. If a foot is below the ground in a frame, the whole
+    clip is lifted by a constant height, so that the lowest corner of a foot touches the ground. If
+    no body touches the ground in the lifted clip, `plausibility.put_on_ground` lowers it again.
+    Velocities are smoothed differences.
     """
     with reading(name, "DeepMimic clip"):
         rows = _rows(data, name)
@@ -177,7 +181,7 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
             quaternion = _quaternion(rows[:, column : column + 4], body, name)
             local[:, skeleton.body_names.index(body)] = quaternion
         for body, column in HINGE_COLUMNS.items():
-            # DeepMimic's hinge axis z is our -y: the angle changes its sign.
+            # DeepMimic's hinge axis z is the axis -y here, and the angle changes its sign.
             half = -0.5 * rows[:, column]
             local[:, skeleton.body_names.index(body), 1] = np.sin(half)
             local[:, skeleton.body_names.index(body), 3] = np.cos(half)
@@ -187,13 +191,13 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
         clip = MotionClip.from_poses(name, fps, *tree, local, lifted)
         if lifted is root or not is_in_air(clip, skeleton):
             return clip
-        # A crawl with a toe below the ground is lifted until hands and knees are in the air.
+        # In a crawl with a toe below the ground, the lift has raised hands and knees into the air.
         _log.info("%s: lowered to the ground, because the lifted clip was in the air", name)
         return put_on_ground(clip, skeleton)
 
 
 def _rows(data: dict[str, Any], name: str) -> FloatArray:
-    """Return the frames (T, 44)."""
+    """Return the frames of a file as an array (T, 44)."""
     rows = np.array(data.get("Frames"), dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != NUM_COLUMNS:
         keys = f"the keys {', '.join(sorted(data)) or 'nothing'}"
@@ -203,14 +207,14 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
             f"{NUM_COLUMNS} numbers, found {found}; write a robot's frames as a .csv (root position"
             " in m, root quaternion xyzw, joints in rad) and convert it with robot=FILE"
         )
-    if not np.abs(rows).max(initial=0.0) <= MAX_PLACE_M:  # refuses NaN, too
+    if not np.abs(rows).max(initial=0.0) <= MAX_PLACE_M:  # also True for NaN
         raise MotionFileError(
             f"{name}: the frames hold {np.abs(rows).max():.3g}, expected seconds, metres and "
             f"radians of at most {MAX_PLACE_M:g}"
         )
     if len(rows) < 2:
         raise MotionFileError(f"{name}: holds {len(rows)} frame, expected at least 2")
-    # The last frame's duration is not used; it is 0 in most files.
+    # The duration of the last frame is not used; it is 0 in most files.
     durations = rows[:-1, DURATION]
     odd = (durations <= 0.0) | (durations > 1.0 / MIN_FPS)
     if odd.any():
@@ -228,7 +232,7 @@ def _vector(xyz: FloatArray) -> FloatArray:
 
 
 def _quaternion(wxyz: FloatArray, body: str, name: str) -> FloatArray:
-    """Convert quaternions (T, 4) wxyz, y up, into unit quaternions xyzw, z up."""
+    """Convert quaternions (T, 4) from wxyz and y up to unit quaternions in xyzw and z up."""
     length = np.linalg.norm(wxyz, axis=-1, keepdims=True)
     deviation = float(np.abs(length - 1.0).max())
     if deviation > _LENGTH_TOLERANCE:
@@ -243,9 +247,10 @@ def _quaternion(wxyz: FloatArray, body: str, name: str) -> FloatArray:
 def _equal_durations(
     durations: FloatArray, local: FloatArray, root: FloatArray, name: str
 ) -> tuple[float, FloatArray, FloatArray]:
-    """Resample to frames of equal duration; return fps, rotations and root positions.
+    """Resample a motion to frames of equal duration; return fps, rotations and root positions.
 
-    `durations` (T - 1,) s lie between the frames. The first and the last frame are kept.
+    `durations` (T - 1,) are the times in s between successive frames. The first and the last frame
+    are kept.
     """
     usual = float(np.median(durations))
     total = float(durations.sum())
@@ -264,7 +269,7 @@ def _equal_durations(
 
 
 def _lifted(skeleton: Skeleton, local: FloatArray, root: FloatArray, name: str) -> FloatArray:
-    """Return the root positions (T, 3) m, raised until no corner of a foot is below z = 0."""
+    """Raise the root positions (T, 3) m until no corner of a foot is below z = 0; return them."""
     if not skeleton.foot_body_ids:
         return root
     positions, turns = kinematics.forward_kinematics(
@@ -280,9 +285,9 @@ def _lifted(skeleton: Skeleton, local: FloatArray, root: FloatArray, name: str) 
 
 
 def save_deepmimic(path: str | Path, clip: MotionClip) -> Path:
-    """Write a clip of the humanoid, with `Loop` "none", and return the path.
+    """Write a clip of the humanoid with `Loop` "none", and return the path.
 
-    The file lacks hands, sword, shield, velocities and limb lengths.
+    The file does not contain hands, sword, shield, velocities and limb lengths.
     """
     clip.validate()
     missing = [body for body in MOVED_BODIES if body not in clip.body_names]
@@ -297,7 +302,7 @@ def save_deepmimic(path: str | Path, clip: MotionClip) -> Path:
         rows[:, column : column + 4] = _quaternion_y_up(turns[:, clip.body_names.index(body)])
     for body, column in HINGE_COLUMNS.items():
         turn = torch.from_numpy(turns[:, clip.body_names.index(body)])
-        # DeepMimic's hinge axis is our -y.
+        # DeepMimic's hinge axis is the axis -y here.
         rows[:, column] = -rotations.quat_log(turn)[:, 1].numpy()
     text = json.dumps({"Loop": "none", "Frames": rows.round(_DECIMALS).tolist()})
     with written_clip(Path(path)) as partial:
@@ -311,6 +316,6 @@ def _vector_y_up(xyz: FloatArray) -> FloatArray:
 
 
 def _quaternion_y_up(xyzw: FloatArray) -> FloatArray:
-    """Convert quaternions (T, 4) xyzw, z up, into wxyz, y up."""
+    """Convert quaternions (T, 4) from xyzw and z up to wxyz and y up."""
     turned = np.concatenate((_vector_y_up(xyzw[:, :3]), xyzw[:, 3:]), axis=-1)
     return rotations.wxyz_from_xyzw(torch.from_numpy(turned)).numpy()

@@ -1,4 +1,4 @@
-"""Helpers of clip readers and writers: errors in one line, and atomic writing."""
+"""Functions that readers and writers of clips share: one-line errors and atomic writing."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from isaacgymenvs_lite.utils import files
 
 @contextmanager
 def reading(path: str | Path, kind: str) -> Iterator[None]:
-    """Convert any exception of a reader into a MotionFileError that names the file and its `kind`.
+    """Convert any exception of a reader into a MotionFileError with the file and its `kind`.
 
-    It also silences numpy's overflow warnings, because `validate` refuses infinite values.
+    numpy's overflow warnings are silenced, because `validate` refuses infinite values.
     """
     try:
         with np.errstate(all="ignore"):
@@ -28,15 +28,15 @@ def reading(path: str | Path, kind: str) -> Iterator[None]:
         raise
     except FileNotFoundError as error:
         raise MotionFileError(f"{path}: no such file") from error
-    except Exception as error:  # numpy, zipfile, pickle, csv and pybvh raise many types
+    except Exception as error:  # the readers raise exceptions of many types
         reason = one_line(error) or type(error).__name__
         raise MotionFileError(f"{path}: is no {kind} that can be read ({reason})") from error
 
 
 def native_floats(array: npt.NDArray[Any]) -> npt.NDArray[np.floating]:
-    """Return an array as native float32 or float64.
+    """Convert an array to float32 or float64 in the machine's byte order.
 
-    Half precision becomes float32; integers and long doubles become float64.
+    float16 becomes float32; integers and long doubles become float64.
     """
     if array.dtype in (np.float32, np.float64) and array.dtype.isnative:
         return array
@@ -58,7 +58,7 @@ def read_json(path: str | Path) -> dict[str, Any]:
 
 @contextmanager
 def written_clip(path: Path) -> Iterator[Path]:
-    """Yield a temporary path for a clip, which replaces `path` at the end."""
+    """Yield a temporary path; at the end, the file that was written there replaces `path`."""
     try:
         with files.atomic_write(path) as partial:
             yield partial
@@ -70,7 +70,7 @@ def written_clip(path: Path) -> Iterator[Path]:
 
 
 def check_output(path: Path, suffixes: Collection[str], overwrite: bool) -> None:
-    """Raise a MotionFileError for an output path that cannot be written."""
+    """Raise a MotionFileError if the output path cannot be written."""
     if path.suffix not in suffixes:
         raise MotionFileError(
             f"{path}: the suffix determines the format of the output, found '{path.suffix}'; "

@@ -1,15 +1,16 @@
 """Reads and writes clips as tables of joint angles (`.csv`), for the humanoids and for robots.
 
-This project's header names each column and its unit: `time [s]`, `root_x [m]`, ..., `root_qx`, ...,
-then every degree of freedom, for example `abdomen_x [rad]` (docs/motion_formats.md). Two more forms
-of robots' tables are read:
+In this project's tables, the header has the name and unit of each column: `time [s]`, `root_x [m]`,
+..., `root_qx`, ..., and then every degree of freedom, for example `abdomen_x [rad]`
+(docs/motion_formats.md). Tables of robots in two other forms are read:
 
 - A table without a header holds root position (m), root quaternion xyzw and joint angles (rad) at
   30 fps. Source: Unitree's retargeted LAFAN1 (README of
-  unitreerobotics/LAFAN1_Retargeting_Dataset). Kimodo's tables have wxyz.
-- BONES-SEED has `Frame`, `root_translateX`, ... in cm, `root_rotateX`, ... in degrees about the
-  fixed axes x, y, z in this order, then `left_hip_pitch_joint_dof`, ... in degrees, at 120 fps.
-  Source: NVlabs/ProtoMotions, data/scripts/convert_g1_csv_to_proto.py; not tested with the data.
+  unitreerobotics/LAFAN1_Retargeting_Dataset). Kimodo's tables have quaternions wxyz.
+- A table of BONES-SEED has the columns `Frame`, `root_translateX`, ... (cm), `root_rotateX`, ...
+  (degrees, rotations about the fixed axes x, y, z in this order), and `left_hip_pitch_joint_dof`,
+  ... (degrees), at 120 fps. Source: NVlabs/ProtoMotions, data/scripts/convert_g1_csv_to_proto.py;
+  this reader was not tested with the original data.
 """
 
 from __future__ import annotations
@@ -37,13 +38,13 @@ _TIME = "time"
 _POSITION = ("root_x", "root_y", "root_z")
 _ROTATION = ("root_qx", "root_qy", "root_qz", "root_qw")
 _OWN = (_TIME, *_POSITION, *_ROTATION)
-# Factors to m, s and rad; files are written with the first unit.
+# Factors that convert units to s, m and rad; files are written with the first unit of each kind.
 _TIME_UNITS = {"s": 1.0, "ms": 1e-3}
 _LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
 _COLUMN = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
 _FPS_LINE = re.compile(r"#\s*fps\s*[:=]\s*(?P<fps>\S+)\s*", re.IGNORECASE)
-# Relative tolerance of a time step: times are often rounded to milliseconds.
+# Relative tolerance of a time step, because times are often rounded to milliseconds.
 _STEP_TOLERANCE = 0.1
 _LAFAN1_FPS, _BONES_FPS = 30.0, 120.0
 _ROOT_WIDTH = 7
@@ -60,7 +61,7 @@ def _sides(joints: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{side}_{joint}_joint" for side in ("left", "right") for joint in joints)
 
 
-# Joint orders of Unitree's LAFAN1 (its README) and of the robots' model files.
+# Joint orders in the README of Unitree's LAFAN1 data and in the robots' model files.
 G1_29 = (
     *_sides(("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")),
     *("waist_yaw_joint", "waist_roll_joint", "waist_pitch_joint"),
@@ -76,22 +77,22 @@ _H1_19 = (
     "torso_joint",
     *_sides(_ARM_7[:4]),
 )
-# Tables without a header are recognised by their number of joints.
+# The robot of a table without a header is recognised by the number of joints.
 _BY_NUMBER = {len(names): names for names in (G1_29, _H1_2_27, _H1_19)}
-_ARMS_START = ("",) * 3  # the arms begin three levels below the root
+_ARMS_START = ("",) * 3  # arms begin three joints below the root
 _LEVELS = itertools.zip_longest(
     *(G1_29[:6], G1_29[6:12], G1_29[12:15]),
     *(_ARMS_START + G1_29[15:22], _ARMS_START + G1_29[22:]),
     fillvalue="",
 )
 G1_29_BREADTH_FIRST = tuple(joint for level in _LEVELS for joint in level if joint)
-"""Isaac Lab's joint order, breadth first."""
+"""Isaac Lab's joint order, which is breadth-first."""
 
 
 def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Path:
-    """Write a clip whose bodies are in the order of `skeleton`, and return the path.
+    """Write a clip with the bodies of `skeleton`, and return the path.
 
-    The file lacks velocities, limb lengths, and rotations of hinges out of their axes.
+    The file does not contain velocities, limb lengths, and rotations that leave a hinge's axis.
     """
     clip.validate()
     root = (clip.root_translation, clip.local_rotation[:, 0])
@@ -100,22 +101,23 @@ def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Pa
 
 
 def save_robot_csv(path: str | Path, clip: JointClip) -> Path:
-    """Write a robot's clip, which has joint names, and return the path."""
+    """Write a clip of a robot, and return the path; the clip must have joint names."""
     clip.validate()
     table = np.concatenate((clip.root_pos, clip.root_rot, clip.dof_pos), axis=1, dtype=np.float64)
     return _write_table(path, table, clip.joint_names or (), clip.fps)
 
 
 def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
-    """Read a clip; the DOFs in the header determine its skeleton.
+    """Read a clip of a humanoid, whose skeleton is chosen by the DOFs in the header.
 
-    The columns may be in any order, angles in rad or deg, lengths in m, cm or mm. A file without
-    the column `time` needs the line `# fps: 30`.
+    Columns may be in any order; angles may be in rad or deg, and lengths in m, cm or mm. A file
+    without the column `time` needs a line like `# fps: 30`.
     """
     with reading(path, "table of joint angles"):
         lines, fps = _read_lines(path)
         names, units = _read_header(lines[0], path)
-        # The humanoid that has most of the named DOFs and, among equals, fewest other DOFs.
+        # Choose the humanoid with most of the named DOFs; of several, choose the one with fewest
+        # other DOFs.
         skeleton = max(
             skeletons, key=lambda body: (len(set(body.dof_names) & set(names)), -body.num_dofs)
         )
@@ -143,7 +145,7 @@ def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionCli
 
 
 def is_robot_csv(path: str | Path) -> bool:
-    """Return whether a table has no header, or mostly joints that no shipped humanoid has."""
+    """Return whether a table has no header, or mostly joints that shipped humanoids do not have."""
     header = _read_lines(path)[0][0]
     if _is_number(header[0]):
         return True
@@ -155,9 +157,9 @@ def is_robot_csv(path: str | Path) -> bool:
 
 
 def load_robot_csv(path: str | Path, fps: float | None = None) -> JointClip:
-    """Read a robot's table in any of the three forms.
+    """Read a table of a robot's joint angles in one of the three forms.
 
-    `fps` is the rate of a file without a rate; None uses the default of its form.
+    `fps` is the frame rate if the file has none; None selects the form's default rate.
     """
     lines, file_fps = _read_lines(path)
     fps = file_fps or fps
@@ -206,7 +208,7 @@ def load_robot_csv(path: str | Path, fps: float | None = None) -> JointClip:
 
 
 def _read_lines(path: str | Path) -> tuple[list[list[str]], float | None]:
-    """Return the cells of all lines, header first, and the rate of the line `# fps:`."""
+    """Return the cells of all lines, and the frame rate in the line `# fps:`."""
     lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     comments = [line for line in lines if line.startswith("#")]
     rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
@@ -227,7 +229,7 @@ def _is_number(text: str) -> bool:
 
 
 def _read_header(cells: list[str], path: str | Path) -> tuple[list[str], list[str | None]]:
-    """Return the names of the columns, and their units."""
+    """Return names and units of the columns."""
     header = [match for text in cells if (match := _COLUMN.fullmatch(text))]
     if len(header) != len(cells):
         raise MotionFileError(f"{path}: the header has a column that is not 'name [unit]'")
@@ -250,7 +252,7 @@ def _check_columns(names: list[str], needed: Iterable[str], path: str | Path) ->
 def _read_columns(
     names: list[str], units: list[str | None], rows: list[list[str]], path: str | Path
 ) -> dict[str, FloatArray]:
-    """Return the columns (T,) by name, in s, m and rad."""
+    """Return the columns (T,) by their names, converted to s, m and rad."""
     table = _read_numbers(rows, len(names), path)
     column = {}
     for i, (name, unit) in enumerate(zip(names, units, strict=True)):
@@ -278,7 +280,7 @@ def _units_of(name: str) -> dict[str, float]:
 
 
 def _read_numbers(rows: list[list[str]], width: int, path: str | Path) -> FloatArray:
-    """Return the rows as finite values (T, width)."""
+    """Return the values (T, width) of all rows; raise an error if one is not finite."""
     for i, row in enumerate(rows):
         if len(row) != width:
             raise MotionFileError(
@@ -292,7 +294,7 @@ def _read_numbers(rows: list[list[str]], width: int, path: str | Path) -> FloatA
 
 
 def _frame_rate(column: Mapping[str, FloatArray], fps: float | None, path: str | Path) -> float:
-    """Return the frames per second of the column `time`, or `fps` without this column."""
+    """Return the frames per second from the column `time`, or `fps` if there is no such column."""
     if _TIME not in column:
         if fps is None:
             raise MotionFileError(
@@ -314,7 +316,7 @@ def _frame_rate(column: Mapping[str, FloatArray], fps: float | None, path: str |
 def _write_table(
     path: str | Path, table: FloatArray, joint_names: Sequence[str], fps: float
 ) -> Path:
-    """Write the time and `table` (T, 7 + D): root position (m), quaternion xyzw, joints (rad)."""
+    """Write times and `table` (T, 7 + D): root position (m), quaternion xyzw, joints (rad)."""
     table = np.concatenate((np.arange(len(table))[:, None] / fps, table), axis=1)
     names = (*_OWN, *joint_names)
     units = [next(iter(_units_of(name)), None) for name in names]

@@ -1,6 +1,6 @@
-"""The clip format of this project: a numpy .npz archive of plain arrays, without pickles.
+"""This project's clip format, a numpy .npz archive of plain arrays without pickled objects.
 
-docs/motion_formats.md describes the keys.
+docs/motion_formats.md describes the arrays in the archive.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _EXPECTED = ".npz archive of plain arrays (see motion.formats.npz.save_npz)"
 
 
 def save_npz(path: str | Path, clip: MotionClip) -> Path:
-    """Write a clip and return its path, with `.npz` added to a `path` without it.
+    """Write a clip and return its path; `.npz` is added if `path` does not end with it.
 
-    The bytes depend only on the clip. An existing file is replaced in one step.
+    The file's bytes depend only on the clip. An existing file is replaced in one step.
     """
     clip.validate()
     arrays = {
@@ -44,7 +44,7 @@ def save_npz(path: str | Path, clip: MotionClip) -> Path:
 def write_arrays(
     path: str | Path, kind: str, fps: float, arrays: Mapping[str, npt.NDArray]
 ) -> Path:
-    """Write an archive of this project's format `kind`; see `save_npz`."""
+    """Write arrays to an archive with the format name `kind`; see `save_npz`."""
     path = Path(path)
     if path.suffix != ".npz":
         path = path.with_name(path.name + ".npz")
@@ -60,7 +60,7 @@ def write_arrays(
 
 
 def load_npz(path: str | Path) -> MotionClip:
-    """Read a clip; missing velocities are computed from the poses."""
+    """Read a clip; velocities that the file does not contain are computed from the poses."""
     with reading(path, _EXPECTED):
         arrays = read_arrays(path, _KNOWN_KEYS)
         missing = [key for key in _NEEDED_KEYS if key not in arrays]
@@ -89,16 +89,16 @@ def load_npz(path: str | Path) -> MotionClip:
 
 
 def read_arrays(path: str | Path, keys: Iterable[str]) -> dict[str, npt.NDArray]:
-    """Return the arrays of an archive named in `keys`; other members are not unpacked.
+    """Return those arrays of an archive that are named in `keys`; others are not unpacked.
 
-    Call it within `reading`, because a damaged archive may raise any exception.
+    Call this function within `reading`, because a damaged archive may raise any exception.
     """
     with opened(path) as archive:
         return {key: archive[key] for key in keys if key in archive.files}
 
 
 def opened(path: str | Path) -> np.lib.npyio.NpzFile:
-    """Open an archive of arrays; call it within `reading`."""
+    """Open an archive of arrays; call this function within `reading`."""
     archive = np.load(path, allow_pickle=False)
     if isinstance(archive, np.ndarray):
         raise MotionFileError(f"{path}: holds a single array (.npy), expected an .npz archive")
@@ -113,7 +113,7 @@ def check_kind(array: npt.NDArray, key: str, kinds: str, path: str | Path) -> No
 
 
 def one_number(array: npt.NDArray, key: str, path: str | Path) -> float:
-    """Return the only number in an array, or raise a MotionFileError."""
+    """Return the only value of an array; raise a MotionFileError if there are several."""
     check_kind(array, key, "fiu", path)
     if array.size != 1:
         raise MotionFileError(f"{path}: {key} has shape {array.shape}, expected one number")
@@ -121,7 +121,7 @@ def one_number(array: npt.NDArray, key: str, path: str | Path) -> float:
 
 
 def check_version(arrays: Mapping[str, npt.NDArray], path: str | Path) -> None:
-    """Raise a MotionFileError for a clip of this project's format in another version."""
+    """Raise a MotionFileError for a clip in another version of this project's format."""
     version = arrays.get("version", np.array(VERSION))
     if version.size != 1 or version.item() != VERSION:
         raise MotionFileError(

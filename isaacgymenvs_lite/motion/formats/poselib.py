@@ -1,7 +1,8 @@
 """Reads and writes clips in the poselib format (`SkeletonMotion`) of IsaacGymEnvs and ASE.
 
-Clips are read from `.npy` or `.json` and written as `.npy`: numpy's header, then a pickled
-dictionary. The pickle uses numpy 1's module names, which numpy 1 (for Isaac Gym) and 2 can load.
+Clips are read from `.npy` or `.json` files, and written to `.npy` files, which consist of numpy's
+header and a pickled dictionary. The pickle uses numpy 1's module names, because both numpy 1 (for
+Isaac Gym) and numpy 2 can load these.
 """
 
 from __future__ import annotations
@@ -26,20 +27,20 @@ from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy
 
 _CLIP_TAG = "SkeletonMotion"
 _POSE_TAG = "SkeletonState"
-# The published files' protocol; it stores module names as lines of text.
+# The published files have this protocol, which stores module names as lines of text.
 _PICKLE_PROTOCOL = 3
 _NEW_MODULES, _OLD_MODULES = "numpy._core.", "numpy.core."
 
 
 def load_poselib_npy(path: str | Path) -> MotionClip:
-    """Read a poselib `.npy` clip; nothing in the file is executed."""
+    """Read a poselib clip from a `.npy` file without running code from it."""
     return clip_from_poselib(load_object_npy(path), str(path))
 
 
 def clip_from_poselib(data: Any, name: str) -> MotionClip:
-    """Make a clip from poselib's dictionary; `name` is the file's path.
+    """Make a clip from poselib's dictionary; `name` is the path of the file.
 
-    An array of a `.json` file is {"__ndarray__": nested lists, "dtype": name, "shape": sizes}.
+    A `.json` file stores an array as {"__ndarray__": nested lists, "dtype": name, "shape": sizes}.
     """
     with reading(name, "poselib clip (SkeletonMotion)"):
         tag = data.get("__name__") if isinstance(data, Mapping) else None
@@ -50,7 +51,7 @@ def clip_from_poselib(data: Any, name: str) -> MotionClip:
                 f"{name}: __name__ is {tag!r}{hint}, expected '{_CLIP_TAG}'; found the keys {found}"
             )
         tree, fps = _item(data, "skeleton_tree", name), _item(data, "fps", name)
-        if isinstance(fps, Mapping):  # the 0-d array of IsaacGymEnvs' clips
+        if isinstance(fps, Mapping):  # IsaacGymEnvs' clips have a 0-d array
             fps = fps["__ndarray__"]
         clip = MotionClip(
             name=name,
@@ -80,7 +81,7 @@ def _item(data: Mapping[str, Any], key: str, name: str) -> Any:
 
 
 def _array(data: Mapping[str, Any], key: str, name: str) -> npt.NDArray[Any]:
-    """Return the array under `key`, {arr, context: {dtype}}, cast to this dtype."""
+    """Return the array `key`, stored as {arr, context: {dtype}}, converted to this dtype."""
     item = _item(data, key, name)
     stored = _item(item, "arr", name)
     if isinstance(stored, Mapping):
@@ -94,7 +95,7 @@ def _array(data: Mapping[str, Any], key: str, name: str) -> npt.NDArray[Any]:
 
 
 def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:
-    """Write a clip in single precision, as in the published files, and return the path."""
+    """Write a clip in single precision, like the published files, and return the path."""
     clip.validate()
     if np.ndim(clip.local_translation) != 2:
         raise MotionFileError(
@@ -114,7 +115,7 @@ def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:
         global_angular_velocity=_tagged(clip.angular_velocity_w, "float32"),
         skeleton_tree=tree,
         is_local=True,
-        # poselib's scripts use fps as an index and need an int.
+        # poselib's scripts use fps as an index, and therefore need an int.
         fps=int(clip.fps) if float(clip.fps).is_integer() else float(clip.fps),
         __name__=_CLIP_TAG,
     )
@@ -133,7 +134,7 @@ def _tagged(array: Any, dtype: str) -> dict[str, Any]:
 
 
 def _with_old_names(data: bytes) -> bytes:
-    """Replace the module names of numpy 2 in a pickle by those of numpy 1."""
+    """Replace numpy 2's module names in a pickle by numpy 1's module names."""
     parts, done = [], 0
     for code, argument, position in pickletools.genops(data):
         if code.name == "GLOBAL" and str(argument).startswith(_NEW_MODULES):

@@ -1,9 +1,9 @@
 """Reads pickled dictionaries of clips (`.npy`, `.pkl`) without running code from the file.
 
-A pickle may call any function by its name. This module maps the names that occur in clips to its
-own functions and classes, and refuses all other names. numpy's own classes are replaced because
-they trust the memory layout that the file describes. A joblib file, also a compressed one, is a
-pickle in which the bytes of each array follow its description.
+A pickle can call any function by its name. This module maps the names that occur in clips to its
+own functions and classes, and refuses all other names. numpy's classes are replaced as well,
+because they trust the memory layout that a file describes. A joblib file is a pickle, possibly
+compressed, in which each array's description is followed by the array's bytes.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ from isaacgymenvs_lite.motion.formats.files import reading
 
 _EXPECTED = "poselib clip (.npy of one pickled SkeletonMotion)"
 _OBJECT_DTYPE = "O8"
-# First bytes of joblib's files that are compressed by zlib or gzip.
+# joblib files that are compressed by zlib or gzip begin with one of these bytes.
 _COMPRESSED, _ZLIB_OR_GZIP = (b"x", b"\x1f\x8b"), 32 + zlib.MAX_WBITS
 
 
 def load_object_npy(path: str | Path) -> Any:
-    """Return the pickled object of a `.npy` file: containers, text, numbers and numpy arrays.
+    """Return the pickled object in a `.npy` file.
 
-    Raises MotionFileError if the file imports another name, or is damaged.
+    The object consists of containers, strings, numbers and numpy arrays. Raises MotionFileError if
+    the file is damaged, or names other functions or classes.
     """
     with reading(path, _EXPECTED), Path(path).open("rb") as stream:
         is_first_version = np.lib.format.read_magic(stream) == (1, 0)
@@ -49,9 +50,9 @@ def load_object_npy(path: str | Path) -> Any:
 
 
 def load_pickle(path: str | Path, expected: str) -> Any:
-    """Return the object of a pickle file, see `load_object_npy`.
+    """Return the object in a pickle file; see `load_object_npy`.
 
-    `expected` names the file's format in messages.
+    `expected` is the name of the file's format for error messages.
     """
     with reading(path, expected):
         content = Path(path).read_bytes()
@@ -61,7 +62,7 @@ def load_pickle(path: str | Path, expected: str) -> Any:
 
 
 class _Dtype:
-    """Replaces numpy.dtype for numbers, text and objects."""
+    """Replaces numpy.dtype, for arrays of numbers, strings and objects."""
 
     order = "="
 
@@ -72,14 +73,14 @@ class _Dtype:
         self.order = state[1]
 
     def values(self, content: bytes) -> npt.NDArray[Any]:
-        """Return the values (N,) in raw memory; raise ValueError for a dtype of objects."""
+        """Return the values (N,) in raw bytes; raise ValueError for a dtype of objects."""
         if not re.fullmatch(r"[<>=|]([fiub]\d|U\d+)", self.order + self.name):
             raise ValueError(f"an array of type '{self.order}{self.name}'")
         return np.frombuffer(content, self.order + self.name).copy()
 
 
 class _Array:
-    """Replaces numpy.ndarray; the pickle passes its content to `__setstate__`."""
+    """Replaces numpy.ndarray; the pickle passes the array's content to `__setstate__`."""
 
     values: npt.NDArray[Any] | None = None
     objects: list[Any]
@@ -96,7 +97,7 @@ class _Array:
 
 
 class _JoblibArray(_Array):
-    """Replaces joblib's NumpyArrayWrapper; its content follows in the file."""
+    """Replaces joblib's NumpyArrayWrapper, which the array's bytes follow in the file."""
 
     stream: BinaryIO
 
@@ -110,13 +111,13 @@ class _JoblibArray(_Array):
 
 
 class _Unpickler(pickle.Unpickler):
-    """Maps the names of clips to the classes above and to local functions; refuses other names."""
+    """Maps names that occur in clips to this module's functions and classes; refuses others."""
 
     def __init__(self, stream: BinaryIO, path: str | Path) -> None:
         super().__init__(stream)
         self._path = path
 
-        # A pickle can set attributes of functions, therefore each file gets new ones.
+        # A pickle can set attributes of functions, therefore each file gets new functions.
         def scalar(dtype: _Dtype, content: bytes) -> float | str:
             return dtype.values(content).item()
 
@@ -124,7 +125,7 @@ class _Unpickler(pickle.Unpickler):
             content: bytes, dtype: _Dtype, shape: Any, order: Any, axes: Any = None
         ) -> npt.NDArray[Any]:
             values = dtype.values(content)
-            if order == "K":  # the axes were exchanged
+            if order == "K":  # the array was transposed
                 return values.reshape(shape).transpose(axes)
             return values.reshape(shape, order=order)
 
@@ -151,7 +152,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _plain(value: Any) -> Any:
-    """Replace `_Array` by numpy arrays in nested containers; tuples become lists."""
+    """Replace each `_Array` in nested containers by a numpy array; tuples become lists."""
     if isinstance(value, _Array):
         if value.values is None:
             raise ValueError("an array of objects or an unfinished array")

@@ -1,22 +1,24 @@
-"""Reads clip files of robots in six forms and writes this project's form.
+"""Reads clip files of robots in several formats, and writes this project's format.
 
-`formats.joint_csv` reads tables. The other files hold arrays by name, in an archive (`.npz`) or in
-a dictionary (`.npy`, `.pkl` by pickle or joblib):
+`formats.joint_csv` reads tables. Files in the other formats contain named arrays, in an archive
+(`.npz`) or in a dictionary (`.npy`, or `.pkl` written by pickle or joblib):
 
 - This project: format, version, fps, root_pos, root_rot xyzw, dof_pos, joint_names.
 - GMR (YanjieZe/GMR, scripts/bvh_to_robot.py): fps, root_pos, root_rot xyzw, dof_pos.
-- PHC (retargeted H1 and G1 motions): fps, root_trans_offset, root_rot xyzw, dof; often several
-  motions by name.
+- PHC (retargeted H1 and G1 motions): fps, root_trans_offset, root_rot xyzw, dof; a file often has
+  several named motions.
 - MimicKit (xbpeng/MimicKit, mimickit/anim/motion.py): fps, loop_mode, frames (T, 6 + D). A frame
-  holds the root position, the root's rotation vector and the joints.
+  consists of the root's position and rotation vector and the joint angles.
 - mjlab (src/mjlab/scripts/csv_to_npz.py) and HybridRobotics/whole_body_tracking
-  (scripts/csv_to_npz.py): fps, joint_pos, body_pos_w and body_quat_w of all bodies, root first,
-  mostly without names. mjlab has MuJoCo's joint order, whole_body_tracking Isaac Lab's.
+  (scripts/csv_to_npz.py): fps, joint_pos, and body_pos_w and body_quat_w of all bodies with the
+  root first, mostly without names. mjlab's files have MuJoCo's joint order, and files of
+  whole_body_tracking have Isaac Lab's joint order.
 - Isaac Lab's humanoid AMP task (isaaclab_tasks/direct/humanoid_amp/motions/motion_loader.py): fps,
   dof_names, dof_positions, body_names, body_positions, body_rotations.
 
-Quaternions of the last two forms are wxyz, or xyzw from Isaac Lab 3; the motion of the bodies shows
-the order. Joints without names are in the order of the robot's MJCF.
+Quaternions in the last two formats are wxyz, or xyzw in files of Isaac Lab 3 and later; the order
+is deduced from the motion of the bodies. Joints without names are in the order of the robot's MJCF
+file.
 """
 
 from __future__ import annotations
@@ -57,7 +59,7 @@ _DICTIONARIES = (*PICKLES, ".npy")
 _SUFFIXES = (".csv", ".npz", *_DICTIONARIES)
 _FORMAT = "isaacgymenvs_lite.joint_clip"
 _EXPECTED = "clip of a robot"
-# The keys of each array in the different forms; this project's are first.
+# The names of each array in the different formats; this project's name is first.
 _POSITION = ("root_pos", "root_trans_offset", "root_trans", "root_translation", "root_position")
 _ROTATION = ("root_rot", "root_rotation", "root_quat")
 _JOINTS = ("dof_pos", "dof", "joint_pos", "dof_positions", "joint_positions", "joint_angles")
@@ -74,17 +76,18 @@ _FORMS = (
     "(MimicKit); joint_pos, body_pos_w, body_quat_w (mjlab); or dof_positions, body_positions, "
     "body_rotations (Isaac Lab); or a dictionary of these by motion"
 )
-# Distances in single precision, up to 100 m from the origin, are equal within this tolerance.
+# Two distances are equal within this tolerance, in single precision and up to 100 m from the
+# origin.
 _SAME_DISTANCE_M = 1e-3
-# Bodies nearer to the root than this do not show the root's rotation.
+# Bodies nearer to the root than this are not used to deduce the quaternion order.
 _MIN_ARM_M = 0.01
 _COMPARED_FRAMES = 256
 
 
 def looks_like_joint_clip(path: str | Path) -> bool:
-    """Return whether a file is a robot's clip, which `read_joint_clip` reads.
+    """Return whether a file is a clip of a robot, which `read_joint_clip` reads.
 
-    The result is False for a damaged file; the humanoid's reader then raises the error.
+    The result is False for a damaged file; the reader of humanoid clips then raises the error.
     """
     path = Path(split_motion(path)[0])
     try:
@@ -103,7 +106,7 @@ def looks_like_joint_clip(path: str | Path) -> bool:
 
 
 def split_motion(name: str | Path) -> tuple[str, str]:
-    """Return the file and the motion of `FILE:MOTION`; the motion may be ""."""
+    """Split `FILE:MOTION` into file and motion; the motion is "" if there is none."""
     for suffix in _DICTIONARIES:
         file, colon, motion = str(name).partition(f"{suffix}:")
         if colon:
@@ -114,7 +117,7 @@ def split_motion(name: str | Path) -> tuple[str, str]:
 def read_joint_clip(
     path: str | Path, fps: float | None = None, quat_order: QuatOrder | None = None
 ) -> JointClip:
-    """Read a file's only clip, or the clip `FILE:MOTION`; see `read_joint_clips`."""
+    """Read the only clip of a file, or the clip `FILE:MOTION`; see `read_joint_clips`."""
     clips = read_joint_clips(path, fps, quat_order)
     if len(clips) > 1:
         raise MotionFileError(several_motions(path, [clip.name for clip in clips]))
@@ -122,7 +125,7 @@ def read_joint_clip(
 
 
 def several_motions(path: str | Path, names: Sequence[str]) -> str:
-    """Return the error message for a file with several motions; `names` are `FILE:MOTION`."""
+    """Return the error message for a file with several motions, `names` (`FILE:MOTION`)."""
     short = [name.removeprefix(f"{path}:") for name in names]
     return f"{path}: has {len(names)} motions ({listed(short, 20)}); give one, as {names[0]}"
 
@@ -134,20 +137,22 @@ def read_joint_clips(
     up_b: Sequence[float] = UP,
     root_body: str | None = None,
 ) -> list[JointClip]:
-    """Read the clips of a robot's file; odd values are logged as warnings.
+    """Read all clips in a file of a robot; implausible values are logged as warnings.
 
     Args:
-        path: `.csv`, `.npz`, `.pkl` or `.npy`, see docs/motion_formats.md; `FILE:MOTION` selects
-            one of several motions in a `.pkl` or `.npy`.
-        fps: frames per second of a file without a rate (default of tables: 30, BONES-SEED 120).
-        quat_order: order of the file's quaternions; None uses the default of the form, or the order
-            that the bodies show.
-        up_b: (3,) the upward direction in the root's frame, for the warning about a lying root.
-        root_body: name of the robot's root, for a file with body names. In other files the root is
-            the first body except MuJoCo's world.
+        path: a `.csv`, `.npz`, `.pkl` or `.npy` file, see docs/motion_formats.md. `FILE:MOTION`
+            selects one of several motions in a `.pkl` or `.npy` file.
+        fps: frames per second if the file has no frame rate. By default tables have 30, and tables
+            of BONES-SEED have 120.
+        quat_order: order of quaternions in the file. None selects the default of the format, or the
+            order that is deduced from the bodies.
+        up_b: (3,) the root's up axis in the root's frame. A warning is logged if the root seems to
+            lie.
+        root_body: name of the robot's root in a file with body names. In other files, the root is
+            the first body that is not MuJoCo's world.
 
     Raises:
-        MotionFileError: the file is missing, damaged, not valid, or has another form.
+        MotionFileError: the file is missing, damaged, not valid, or has an unknown format.
     """
     file, motion = split_motion(path)
     path = Path(file)
@@ -172,7 +177,10 @@ def read_joint_clips(
 
 
 def _motions(path: Path, motion: str) -> dict[str, Mapping[str, Any]]:
-    """Return the motion of this name, or all for ""; a file's only motion has the name ""."""
+    """Return the motion `name`, or all motions if it is "".
+
+    If a file has only one motion, its name is "".
+    """
     if path.suffix == ".npz":
         data: Any = read_arrays(path, _KEYS)
         if _POSITION[0] in data:
@@ -225,7 +233,7 @@ def _clip(
         check_kind(value, key, "fiu", name)
         return value.astype(np.float64)
 
-    if not any(key in data for key in _JOINTS):  # MimicKit's
+    if not any(key in data for key in _JOINTS):  # MimicKit's format
         frames = part([_FRAMES])
         if frames.ndim != 2 or frames.shape[1] < 7:
             raise MotionFileError(
@@ -236,7 +244,7 @@ def _clip(
         rotation = rotations.exp_map_to_quat(turns, keep_long=True).numpy()
         return JointClip(name, fps, position, rotation, dof_pos, names, file_quat_order=None)
     angles = next(data[key] for key in _JOINTS if key in data)
-    if isinstance(angles, dict) and angles:  # by the names of the joints
+    if isinstance(angles, dict) and angles:  # keys are joint names
         names = tuple(map(str, angles))
         dof_pos = np.stack([part([key], angles).ravel() for key in angles], axis=-1)
     else:
@@ -268,7 +276,7 @@ def _root_first(
     quaternions: FloatArray,
     clip_name: str,
 ) -> list[int]:
-    """Return the body ids with the root first, without MuJoCo's world."""
+    """Return the body ids without MuJoCo's world; the root is first."""
     bodies = list(range(positions.shape[1]))
     if names is not None and root_body is not None:
         check_kind(np.asarray(names), _BODY_NAMES, "U", clip_name)
@@ -294,8 +302,8 @@ def _root_first(
 def _quat_order(body_pos_w: FloatArray, body_quat_w: FloatArray) -> QuatOrder:
     """Return the order of body quaternions (T, B, 4), deduced from body positions (T, B, 3) m.
 
-    With the right order, a body whose joint is at its origin keeps its position in the root's
-    frame. The result is wxyz if the bodies do not decide.
+    With the right order, a body that a hinge at its origin attaches to the root keeps its position
+    in the root's frame. If the positions do not determine the order, wxyz is returned.
     """
     sample = slice(None, None, 1 + len(body_pos_w) // _COMPARED_FRAMES)
     arms_w = body_pos_w[sample, 1:] - body_pos_w[sample, :1]
@@ -315,8 +323,8 @@ def _quat_order(body_pos_w: FloatArray, body_quat_w: FloatArray) -> QuatOrder:
 def _order_of_g1(body_pos_w: FloatArray, name: str) -> tuple[str, ...]:
     """Return the joint names of a G1 in the file's order, deduced from positions (T, B, 3) m.
 
-    Both hip links are equally far from the pelvis. They are bodies 1 and 2 in breadth-first order,
-    bodies 1 and 7 in depth-first order.
+    The two hip links are equally far from the pelvis. In breadth-first order they are bodies 1 and
+    2, and in depth-first order bodies 1 and 7.
     """
     if body_pos_w.shape[1] > 7:
         distance = np.linalg.norm(body_pos_w[:, 1:] - body_pos_w[:, :1], axis=-1)
@@ -331,7 +339,7 @@ def _order_of_g1(body_pos_w: FloatArray, name: str) -> tuple[str, ...]:
 
 
 def save_robot_npz(path: str | Path, clip: JointClip) -> Path:
-    """Write a clip in this project's form; `.npz` is added to a `path` without it."""
+    """Write a clip in this project's format; `.npz` is added if `path` does not end with it."""
     clip.validate()
     arrays = {"root_pos": clip.root_pos, "root_rot": clip.root_rot, "dof_pos": clip.dof_pos}
     if clip.joint_names is not None:

@@ -1,8 +1,9 @@
-"""Reads motion capture in the BVH format with the library pybvh.
+"""Reads motion capture files in the BVH format with the library pybvh.
 
-pybvh reads position channels only for ROOT. Many programs write them for all joints, or move the
-hips below a fixed ROOT; `_split_positions` removes these channels from the text. Positions of ROOT
-and the joints down to the hips move the clip's root. Other joints must have constant positions.
+pybvh reads position channels only for the joint ROOT. Many programs write position channels for all
+joints, or move the hips below a fixed ROOT; `_split_positions` removes these channels from the
+text. The positions of ROOT and of the joints down to the hips determine the position of the clip's
+root. Other joints must have constant positions.
 """
 
 from __future__ import annotations
@@ -26,10 +27,12 @@ from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.optional_packages import import_package
 
-# The temporary file that pybvh reads, and a pattern of this name in its messages.
+# Name of the temporary file that pybvh reads, and a pattern that finds the name in pybvh's
+# messages.
 _COPY = "motion.bvh"
 _PLACE = re.compile(rf" in (file )?\S*{re.escape(_COPY)}")
-# Noise may move a joint in its parent by this share of the longest bone.
+# A joint's position in its parent counts as constant if it changes by less than this share of the
+# longest bone.
 _TOLERANCE = 0.01
 _JOINT = re.compile(r"^\s*(?:ROOT|JOINT)\s+(.*?)\s*\{?\s*$")
 _CHANNELS = re.compile(r"^\s*CHANNELS\s+\d+(.*)", re.IGNORECASE)
@@ -39,20 +42,20 @@ _ROTATIONS = ("Zrotation", "Yrotation", "Xrotation")
 
 @dataclass(frozen=True, eq=False)
 class BvhMotion:
-    """T frames of a skeleton of J joints, in the axes and the unit of its file."""
+    """T frames of a skeleton with J joints, in the axes and the length unit of its file."""
 
     name: str  # the file
     fps: float  # frames per second
-    joint_names: tuple[str, ...]  # J names, parents first
+    joint_names: tuple[str, ...]  # J names; parents come first
     parent_indices: tuple[int, ...]  # J ids, -1 for the root
-    offsets: FloatArray  # (J, 3), positions in the parents' frames; the root's row is not used
-    turns: FloatArray  # (T, J, 4) xyzw, rotations relative to the parents (root: to the world)
+    offsets: FloatArray  # (J, 3), positions in the parents' frames (row 0 is not used)
+    turns: FloatArray  # (T, J, 4) xyzw, relative to the parents, and of the root in the world
     places: FloatArray  # (T, 3), world positions of the root
 
     def clip(self, to_z_up: FloatArray, unit_m: float) -> MotionClip:
-        """Return the motion as a clip of its own skeleton in m, z up.
+        """Return the motion as a clip of the file's skeleton, in m and with z up.
 
-        `to_z_up` (4,) xyzw is the rotation from the file's axes to z up.
+        `to_z_up` (4,) xyzw is the rotation from the file's axes to axes with z up.
         """
         up = torch.from_numpy(to_z_up).expand(len(self.turns), 4)
         turns = self.turns.copy()
@@ -65,7 +68,7 @@ class BvhMotion:
 
 @dataclass(frozen=True)
 class _Joint:
-    """A joint: parent's id, index of the CHANNELS line (-1: none), columns by channel."""
+    """A joint: id of its parent, index of its CHANNELS line (or -1), and columns by channel."""
 
     name: str
     parent: int
@@ -73,13 +76,13 @@ class _Joint:
     columns: Mapping[str, int] = field(default_factory=dict)
 
     def expected(self) -> tuple[str, ...]:
-        """Return the channels that pybvh expects: positions only for ROOT, and the rotations."""
+        """Return the channels that pybvh expects: rotations, and for ROOT also positions."""
         turns = tuple(channel for channel in self.columns if channel not in _POSITIONS)
         return (*(_POSITIONS if self.parent < 0 else ()), *(turns or _ROTATIONS))
 
 
 def bvh_hierarchy(path: str | Path) -> tuple[list[str], list[int]]:
-    """Return the joint names and parents' ids of a BVH file without reading the frames."""
+    """Return joint names and parent ids in a BVH file, without reading the frames."""
     with reading(path, "BVH file"):
         joints = _joints(_lines(path))
     return [joint.name for joint in joints], [joint.parent for joint in joints]
@@ -88,13 +91,13 @@ def bvh_hierarchy(path: str | Path) -> tuple[list[str], list[int]]:
 def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
     """Read a BVH file whose joints have three rotation channels or none, in any order.
 
-    The last common joint of the chains to all `joints` becomes the root and gets the motion of the
-    joints above it. The root is ROOT if `joints` is empty.
+    The lowest joint from which all `joints` descend becomes the root, and its motion includes the
+    motion of the joints above it. If `joints` is empty, the root is ROOT.
     """
     pybvh = import_package("pybvh", "reading BVH files")
     with reading(path, "BVH file"):
         lines = _lines(path)
-        header = _joints(lines)  # pybvh ends names at a space
+        header = _joints(lines)  # pybvh cuts names at a space
         names, parents = [joint.name for joint in header], [joint.parent for joint in header]
         lines, positions = _split_positions(lines, header)
         motion, root, wxyz = _parse(pybvh, "\n".join(lines))
@@ -105,7 +108,7 @@ def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
         above = shared_chain(parents, [names.index(joint) for joint in joints if joint in names])
         steps = _places_in_parents(names, offsets, positions, [names[i] for i in above], path)
         turns = rotations.xyzw_from_wxyz(torch.from_numpy(wxyz))
-        # ROOT's offset is its position if the file has no positions of ROOT, or zeros.
+        # If the file has no positions of ROOT, or only zeros, ROOT's position is its offset.
         place = torch.from_numpy(root if root.any() else root + offsets[0])
         turn = turns[:, 0]
         for joint, step in zip(above[1:], steps, strict=True):
@@ -126,7 +129,7 @@ def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
 
 
 def chain(parents: Sequence[int], joint: int) -> list[int]:
-    """Return the joints from the root to `joint`."""
+    """Return all joints from the root to `joint`."""
     found = [joint]
     while parents[found[0]] >= 0:
         found.insert(0, parents[found[0]])
@@ -134,7 +137,7 @@ def chain(parents: Sequence[int], joint: int) -> list[int]:
 
 
 def shared_chain(parents: Sequence[int], joints: Sequence[int]) -> list[int]:
-    """Return the joints from the root to the last common joint of the chains to all `joints`."""
+    """Return the joints from the root to the lowest joint from which all `joints` descend."""
     levels = zip(*(chain(parents, joint) for joint in joints), strict=False)
     return [level[0] for level in itertools.takewhile(lambda x: len(set(x)) == 1, levels)] or [0]
 
@@ -144,7 +147,7 @@ def _lines(path: str | Path) -> list[str]:
 
 
 def _joints(lines: Sequence[str]) -> list[_Joint]:
-    """Return the joints of the lines before MOTION, at least one, parents first."""
+    """Return the joints described before the line MOTION, at least one; parents come first."""
     joints, open_joints, column = list[_Joint](), [-1], 0
     for number, line in enumerate(itertools.takewhile(lambda x: x.strip() != "MOTION", lines)):
         if found := _JOINT.match(line):
@@ -155,7 +158,7 @@ def _joints(lines: Sequence[str]) -> list[_Joint]:
             joints[-1] = _Joint(joints[-1].name, joints[-1].parent, number, columns)
             column += len(channels)
         for brace in re.findall("[{}]", line):
-            if brace == "{":  # of a joint, or of the end site below the newest one
+            if brace == "{":  # opens a joint or an end site
                 open_joints.append(len(joints) - 1)
             elif len(open_joints) > 1:
                 open_joints.pop()
@@ -167,10 +170,10 @@ def _joints(lines: Sequence[str]) -> list[_Joint]:
 def _split_positions(
     lines: list[str], joints: Sequence[_Joint]
 ) -> tuple[list[str], dict[str, FloatArray]]:
-    """Remove the positions of joints below ROOT; return the lines and these positions (T, 3).
+    """Remove position channels of joints below ROOT; return the lines and the positions (T, 3).
 
-    Joints without rotations get zero rotations. Lines that are no BVH file are returned unchanged:
-    pybvh raises the error.
+    Joints without rotation channels get zero rotations. Lines that are no BVH file are returned
+    unchanged, and pybvh then raises an error.
     """
     start = next((i for i, line in enumerate(lines) if line.strip() == "MOTION"), None)
     joints = [joint for joint in joints if joint.line >= 0]
@@ -196,13 +199,13 @@ def _split_positions(
 
 
 def _parse(pybvh: Any, text: str) -> tuple[Any, FloatArray, FloatArray]:
-    """Return pybvh's motion, root positions (T, 3) and rotations (T, J, 4) wxyz."""
+    """Return the motion that pybvh reads, root positions (T, 3) and rotations (T, J, 4) wxyz."""
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a file without frames raises an error later
+        warnings.simplefilter("ignore")  # a file without frames is refused later
         copy = Path(folder) / _COPY
         copy.write_text(text, encoding="utf-8")
         try:
-            # The mapping gives the real up axis.
+            # The up axis of the mapping is used instead.
             motion = pybvh.read_bvh_file(copy, world_up="+y")
             return motion, *motion.to_quat()
         except ValueError as error:
@@ -216,10 +219,10 @@ def _places_in_parents(
     above: Sequence[str],
     path: str | Path,
 ) -> list[FloatArray]:
-    """Replace offsets (J, 3) in place by the joints' positions (T, 3) that are not zero.
+    """Replace offsets (J, 3) in place by constant joint positions, where these are not zero.
 
-    Only the joints `above`, from ROOT to the clip's root, may move in their parents. The result is
-    their positions (T, 3) or (1, 3), except ROOT's.
+    Only the joints `above`, from ROOT to the clip's root, may change their positions relative to
+    their parents. Return the positions (T, 3) or (1, 3) of these joints except ROOT.
     """
     tolerance = _TOLERANCE * float(np.linalg.norm(offsets, axis=1).max())
     steps = dict(zip(names, offsets[:, None].copy(), strict=True))

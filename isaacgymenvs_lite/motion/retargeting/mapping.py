@@ -1,6 +1,6 @@
-"""Mapping files from the joints of a source skeleton to the bodies of the humanoid.
+"""Mapping files, which assign joints of a source skeleton to bodies of the humanoid.
 
-docs/motion_formats.md describes them; assets/retargeting has the shipped files.
+docs/motion_formats.md describes mapping files; the shipped files are in assets/retargeting.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.yaml_file import load_yaml
 
 AXES = tuple(f"{sign}{axis}" for sign in "+-" for axis in "xyz")
-# Bodies with the rotation of their joint; other rotations follow from the joints' positions.
+# Bodies that get the rotation of their joint; the rotations of other bodies follow from joint
+# positions.
 WITH_ATTITUDE = ("pelvis", "torso", "head", "right_foot", "left_foot")
 
 
 @dataclass(frozen=True, kw_only=True)
 class _BodySettings:
-    """An entry of `bodies`."""
+    """An entry of the key `bodies`."""
 
     joint: str = setting()
     x: str | None = setting(None, choices=AXES)
@@ -41,7 +42,7 @@ class _BodySettings:
 
 @dataclass(frozen=True, kw_only=True)
 class _MappingSettings:
-    """A mapping file."""
+    """The content of a mapping file."""
 
     up: str = setting(choices=AXES)
     unit_m: float = setting(minimum=1e-6, maximum=1e3)
@@ -50,17 +51,18 @@ class _MappingSettings:
 
 @dataclass(frozen=True, eq=False)
 class BodySource:
-    """The source of a body's motion."""
+    """The source joint of a body's motion."""
 
     joint: str  # name of a joint of the source skeleton
-    # (4,) xyzw, rotation of the body's frame relative to the joint's; None if it is not used.
+    # (4,) xyzw, rotation of the body's frame relative to the joint's frame, or None if it is not
+    # used.
     frame: FloatArray | None
-    level: bool  # whether the sole is made parallel to the ground during contact
+    level: bool  # whether the sole becomes parallel to the ground in contacts
 
 
 @dataclass(frozen=True, eq=False)
 class SkeletonMapping:
-    """A mapping from a source skeleton to the humanoid."""
+    """A mapping from the joints of a source skeleton to the humanoid's bodies."""
 
     name: str  # the file, or the name of a shipped mapping
     up: str  # the file's up axis, one of `AXES`
@@ -69,7 +71,7 @@ class SkeletonMapping:
 
     @property
     def to_z_up(self) -> FloatArray:
-        """(4,) xyzw, rotates `up` into z and the next axis (cyclic x, y, z) into x."""
+        """Rotation (4,) xyzw of `up` to z, and of the next axis in the cycle x, y, z to x."""
         z = axis_vector(self.up)
         x = np.roll(np.abs(z), 1)
         return _quaternion(np.stack((x, np.cross(z, x), z)))
@@ -81,7 +83,7 @@ def shipped_mappings() -> dict[str, Path]:
 
 
 def load_mapping(mapping: str | Path) -> SkeletonMapping:
-    """Read a mapping file, or the shipped mapping of this name, or raise a ConfigError."""
+    """Read a mapping, given its file or a shipped name, or raise a ConfigError."""
     with reading(mapping, "mapping file"):
         path, content = read_mapping_keys(mapping, shipped_mappings(), "up, unit_m and bodies")
         settings = read_section(_MappingSettings, content, where=str(path), complete=True)
@@ -99,9 +101,9 @@ def load_mapping(mapping: str | Path) -> SkeletonMapping:
 def read_mapping_keys(
     mapping: str | Path, shipped: Mapping[str, Path], expected: str
 ) -> tuple[Path, dict[Any, Any]]:
-    """Return the path and the content of a mapping file, or of the shipped mapping of this name.
+    """Return the path and the content of a mapping file, given its path or a shipped name.
 
-    `expected` lists the keys in the error message.
+    `expected` is the part of the error message that lists the keys.
     """
     path = shipped.get(str(mapping)) or Path(mapping)
     if not path.is_file():
@@ -133,10 +135,10 @@ def _source(body: str, entry: Any, where: str) -> BodySource:
 
 
 def body_frame(x: str, z: str, turn_deg: Sequence[float] = (0.0, 0.0, 0.0)) -> FloatArray:
-    """Return the rotation (4,) xyzw of a body's frame relative to its joint's.
+    """Return the rotation (4,) xyzw of a body's frame relative to its joint's frame.
 
-    `x` and `z` are the axes of the joint that point forward and up. `turn_deg` (3,) is an
-    additional rotation vector in the axes x, left and z.
+    `x` and `z` are the joint's axes that point forward and up. `turn_deg` (3,) is the vector of an
+    additional rotation in the axes x, left and z, in degrees.
     """
     forward, up = axis_vector(x), axis_vector(z)
     axes = torch.from_numpy(_quaternion(np.stack((forward, np.cross(up, forward), up), axis=1)))
@@ -145,7 +147,7 @@ def body_frame(x: str, z: str, turn_deg: Sequence[float] = (0.0, 0.0, 0.0)) -> F
 
 
 def axis_vector(name: str) -> FloatArray:
-    """Return the unit vector (3,) of an axis of `AXES`."""
+    """Return the unit vector (3,) of an axis, which is one of `AXES`."""
     axis = np.zeros(3)
     axis["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
     return axis

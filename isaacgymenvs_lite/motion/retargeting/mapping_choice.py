@@ -1,4 +1,4 @@
-"""Chooses the mappings of a retargeting by the user's names, else by the names of joints."""
+"""Chooses the mappings of a retargeting by the user's argument or by the names of joints."""
 
 from __future__ import annotations
 
@@ -47,32 +47,33 @@ from isaacgymenvs_lite.motion.retargeting.source import FEET, SIDES, leg_length,
 from isaacgymenvs_lite.utils import rotations
 
 _FRAMES = [(x, z) for x, z in itertools.product(AXES, AXES) if x[1] != z[1]]
-# Length of thigh and shin of people between 1.1 m and 2.2 m, and of an average adult.
+# Length of thigh and shin: of the smallest and tallest people (1.1 m and 2.2 m) and of an average
+# adult.
 _SHORTEST_LEG_M, _LONGEST_LEG_M, _USUAL_LEG_M = 0.45, 1.4, 0.85
-_UNITS_M = (1.0, 0.01, 0.001, 0.0254, 0.056444, 0.1, 0.3048)  # units of BVH files
+_UNITS_M = (1.0, 0.01, 0.001, 0.0254, 0.056444, 0.1, 0.3048)  # length units that BVH files have
 _MAX_FRAMES = 1000
-# Least cosines of angles:
-_STANDS = 0.7  # between an upright skeleton and an axis
+# The constants from `_STANDS` to `_FOOT_UP` are least cosines of angles.
+_STANDS = 0.7  # between the direction from feet to head and the up axis
 _STRAIGHT = 0.8  # between trunk and legs in a rest pose
-_ALIGNED = 0.3  # between a joint's axis and its body's
-_FOOT_UP = -0.3  # between the up axes of an ankle and a foot, which tilts in crawls and dances
-# Lengths relative to a leg:
-_BACKWARD = 0.03  # knees that bend backward farther belong to the other leg
-_LOWEST_JOINT = 0.1  # height of the lowest joint
-_PREFERRED = 0.15  # advantage of the mapping's up axis
-_GROUNDED = 0.12  # largest deviation for an axis that neither the mapping nor the pose suggests
+_ALIGNED = 0.3  # between an axis of a joint and the axis of its body
+_FOOT_UP = -0.3  # between up axes of ankle and foot; feet tilt in crawls and dances
+# The constants from `_BACKWARD` to `_GROUNDED` are measured in leg lengths.
+_BACKWARD = 0.03  # if knees bend backward farther, left and right are exchanged
+_LOWEST_JOINT = 0.1  # height of the lowest joint above the ground
+_PREFERRED = 0.15  # the mapping's up axis is preferred by this margin
+_GROUNDED = 0.12  # limit for an axis that neither mapping nor rest pose has
 
 
 @dataclass(frozen=True, eq=False)
 class _Skeleton:
-    """The mapped joints of a skeleton in T frames, in the axes and the unit of the file."""
+    """Poses of the mapped joints in T frames, in the axes and the length unit of the file."""
 
-    places: Mapping[str, FloatArray]  # (T, 3), world position of each body's joint
-    turns: Mapping[str, FloatArray]  # (T, 4) xyzw, world rotation of each body's joint
+    places: Mapping[str, FloatArray]  # (T, 3) by body, world position of its joint
+    turns: Mapping[str, FloatArray]  # (T, 4) xyzw by body, world rotation of its joint
 
     @classmethod
     def of(cls, motion: BvhMotion, mapping: SkeletonMapping, at_rest: bool = False) -> _Skeleton:
-        """Return the skeleton in the frames of the motion, or in its rest pose (T = 1)."""
+        """Return the skeleton in all frames of the motion, or in the rest pose (T = 1)."""
         every = slice(None, None, 1 + len(motion.turns) // _MAX_FRAMES)
         turns, root = motion.turns[every], motion.places[every]
         if at_rest:
@@ -89,23 +90,23 @@ class _Skeleton:
 
     @property
     def upward(self) -> FloatArray:
-        """Unit vectors (T, 3) from the feet to the head."""
+        """The unit vectors (T, 3) from the feet to the head."""
         return _unit(self.places["head"] - sum(self.places[foot] for foot in FEET) / 2)
 
     @property
     def left(self) -> FloatArray:
-        """Unit vectors (T, 3) from the right hip to the left hip."""
+        """The unit vectors (T, 3) from the right hip to the left hip."""
         return _unit(self.places["left_thigh"] - self.places["right_thigh"])
 
     def axes_in_joint(self, body: str) -> tuple[FloatArray, FloatArray]:
-        """Return the mean left and up directions (3,) of a body in the axes of its joint."""
+        """Return a body's mean left and up directions (3,) in the axes of its joint."""
         place = self.places
         if body in FEET:
             thigh, shin = (
                 place[body.replace("foot", below)] - place[body.replace("foot", above)]
                 for above, below in (("thigh", "shin"), ("shin", "foot"))
             )
-            # The axis of the knee, or of the hips if the leg is straight.
+            # The left direction is the axis of the knee, or of the hips if the leg is straight.
             left, up = np.cross(_unit(thigh), _unit(shin)) + 0.1 * self.left, -shin
         else:
             shoulders = place["left_upper_arm"] - place["right_upper_arm"]
@@ -116,7 +117,7 @@ class _Skeleton:
         return _unit(left.mean(dim=0).numpy()), _unit(up.mean(dim=0).numpy())
 
     def knees_bend_backward(self) -> bool:
-        """Return whether the knees bend backward because left and right are exchanged."""
+        """Return whether the knees bend backward, which shows that left and right are exchanged."""
         place = self.places
         forward = np.cross(self.left, place["head"] - place["pelvis"])
         bends = [
@@ -134,7 +135,8 @@ def _unit(vectors: FloatArray) -> FloatArray:
 def check_fit(motion: BvhMotion, mapping: SkeletonMapping) -> None:
     """Raise a ConfigError with advice if a mapping does not fit the motion.
 
-    The checks concern joint names, the up axis, the unit, the joints' axes, and left and right.
+    The joint names, the up axis, the length unit, the axes of joints, and left and right are
+    checked.
     """
     for body, source in mapping.sources.items():
         if source.joint not in motion.joint_names:
@@ -146,7 +148,7 @@ def check_fit(motion: BvhMotion, mapping: SkeletonMapping) -> None:
 
 
 def fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
-    """Return the mapping with up axis, unit and joint axes corrected for the motion's skeleton."""
+    """Correct up axis, length unit and joint axes of a mapping for a motion, and return it."""
     with reading(motion.name, "BVH file"):
         skeleton, rest_axis = _Skeleton.of(motion, mapping), _rest_axis(motion, mapping)
         found = mapping
@@ -165,7 +167,7 @@ def fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
 
 
 def _problems(motion: BvhMotion, mapping: SkeletonMapping) -> str:
-    """Describe the errors of a mapping and their corrections; "" if there are none."""
+    """Describe the errors of a mapping and their corrections, or return "" if there are none."""
     skeleton, found = _Skeleton.of(motion, mapping), list[str]()
     unit_m = _unit_m(skeleton, mapping.unit_m)
     if unit_m != mapping.unit_m:
@@ -188,9 +190,10 @@ def _problems(motion: BvhMotion, mapping: SkeletonMapping) -> str:
 def _up_axis(skeleton: _Skeleton, rest_axis: str, mapped: str) -> str:
     """Return the up axis of the file.
 
-    It is the mean axis from feet to head if this axis is also the mapping's (`mapped`) or the rest
-    pose's (`rest_axis`). Otherwise the body lies, crawls or stands on its hands; then it is the
-    axis along which the lowest joint stays at the height of the ground.
+    The axis that is nearest to the mean direction from feet to head is returned if it is also the
+    up axis of the mapping (`mapped`) or of the rest pose (`rest_axis`). Otherwise the body may lie,
+    crawl or stand on its hands, and the up axis is the axis along which the lowest joint stays at
+    the height of the ground.
     """
     stands = _nearest_axis(skeleton.upward.mean(axis=0), _STANDS)
     if stands and stands in (mapped, rest_axis):
@@ -209,13 +212,13 @@ def _up_axis(skeleton: _Skeleton, rest_axis: str, mapped: str) -> str:
 
 
 def _nearest_axis(vector: FloatArray, least: float) -> str:
-    """Return the axis nearest to a vector (3,), or "" if its component is less than `least`."""
+    """Return the axis nearest to a vector (3,), or "" if its component there is below `least`."""
     axis = max(AXES, key=lambda name: float(axis_vector(name) @ vector))
     return axis if axis_vector(axis) @ vector >= least else ""
 
 
 def _rest_axis(motion: BvhMotion, mapping: SkeletonMapping) -> str:
-    """Return the axis from the feet to the head in the rest pose, or "" if it does not stand."""
+    """Return the axis from feet to head in the rest pose, or "" if the rest pose does not stand."""
     rest = _Skeleton.of(motion, mapping, at_rest=True)
     pelvis, head = (rest.places[body][0] for body in ("pelvis", "head"))
     legs = pelvis - sum(rest.places[foot][0] for foot in FEET) / 2
@@ -224,9 +227,9 @@ def _rest_axis(motion: BvhMotion, mapping: SkeletonMapping) -> str:
 
 
 def _sources_at_rest(motion: BvhMotion, mapping: SkeletonMapping) -> dict[str, BodySource]:
-    """Return the sources with the joint axes of the rest pose, or {} if it does not stand.
+    """Return the body sources with joint axes from the rest pose, or {} if it does not stand.
 
-    Feet are rotated with their shins, which spread legs tilt.
+    If the legs are spread in the rest pose, shins are tilted; feet are then corrected by this tilt.
     """
     rest = _Skeleton.of(motion, mapping, at_rest=True)
     z, y = _rest_axis(motion, mapping), _nearest_axis(rest.left[0], _STRAIGHT)
@@ -245,7 +248,10 @@ def _sources_at_rest(motion: BvhMotion, mapping: SkeletonMapping) -> dict[str, B
 
 
 def _unit_m(skeleton: _Skeleton, mapped: float) -> float | None:
-    """Return the mapping's unit, or a usual unit, that gives the legs a human length; else None."""
+    """Return a unit that gives the legs a human length, or None.
+
+    The mapping's unit is preferred; other units are those that BVH files often have.
+    """
     leg = leg_length(skeleton.places)
     units = [u for u in (mapped, *_UNITS_M) if _SHORTEST_LEG_M <= leg * u <= _LONGEST_LEG_M]
     if mapped in units:
@@ -254,7 +260,7 @@ def _unit_m(skeleton: _Skeleton, mapped: float) -> float | None:
 
 
 def _wrong_axes(skeleton: _Skeleton, mapping: SkeletonMapping) -> str:
-    """Return the mapping entries of bodies whose axes need a correction, or ""."""
+    """Return, as text, the mapping entries of bodies whose axes must be corrected."""
     return ", ".join(
         f"{body}: {{joint: {mapping.sources[body].joint}, x: {axes[0]}, z: {axes[1]}}}"
         for body in WITH_ATTITUDE
@@ -265,7 +271,7 @@ def _wrong_axes(skeleton: _Skeleton, mapping: SkeletonMapping) -> str:
 def _better_axes(
     skeleton: _Skeleton, body: str, frame: FloatArray | None
 ) -> tuple[str, str] | None:
-    """Return the forward and up axes of a body's joint, or None if `frame` (4,) fits."""
+    """Return better forward and up axes of a body's joint, or None if `frame` (4,) fits."""
     left, up = skeleton.axes_in_joint(body)
 
     def parts(frame: FloatArray) -> tuple[float, float]:
@@ -280,8 +286,8 @@ def _better_axes(
 
 _log = logging.getLogger(__name__)
 
-# Joints that identify the skeletons of the shipped mappings. LAFAN1's skeleton has all joints of
-# CMU's mapping with other axes.
+# These joints identify the skeletons of the shipped mappings. LAFAN1's skeleton has all joints of
+# CMU's mapping, but their axes differ.
 _MARKS = {
     "cmu": {"LHipJoint", "RHipJoint", "LowerBack"},
     "lafan1": {"Spine2", "LeftToe", "RightToe"},
@@ -291,10 +297,10 @@ _HELPER = re.compile("twist|roll", re.IGNORECASE)
 
 
 def read_named_mappings(mapping: str) -> tuple[SkeletonMapping | None, RobotMapping | None]:
-    """Read a user's mappings: one of a BVH file's skeleton, one of a robot, or both.
+    """Read the user's mapping for the skeleton of a BVH file, for a robot, or for both.
 
-    `mapping` holds names of shipped mappings or YAML files, separated by a comma. The keys of a
-    file show its kind.
+    `mapping` is a name of a shipped mapping or a YAML file, or two of them separated by a comma.
+    The kind of a file is recognised by its keys.
     """
     skeleton: SkeletonMapping | None = None
     robot: RobotMapping | None = None
@@ -319,10 +325,10 @@ def read_named_mappings(mapping: str) -> tuple[SkeletonMapping | None, RobotMapp
 
 
 def recognise_skeleton(path: str | Path) -> SkeletonMapping:
-    """Find a mapping for the joints of a BVH file, and log it.
+    """Find, log and return a mapping for the joints of a BVH file.
 
-    It is the shipped mapping with these joints, else a guess by the names of feet, hands and head;
-    `fitted` corrects it. Raises ConfigError if no mapping fits.
+    A shipped mapping with these joints is preferred; otherwise a mapping is guessed from the names
+    of feet, hands and head. `fitted` corrects the mapping. Raises ConfigError if no mapping fits.
     """
     names, parents = bvh_hierarchy(path)
     for name, marks in _MARKS.items():
@@ -357,11 +363,12 @@ def recognise_skeleton(path: str | Path) -> SkeletonMapping:
 
 
 def _guess_joints(names: Sequence[str], parents: Sequence[int]) -> dict[str, str]:
-    """Return the joint of each body by the names of feet, hands and head, or {} if one is missing.
+    """Guess the joint of each body from the names of feet, hands and head; {} if one is missing.
 
-    A limb consists of a foot or hand and the two joints above it, without twist helpers. The pelvis
-    is the last joint above both legs, the torso the last joint above both arms. Ankles and wrists
-    have precedence: joints named foot and hand are then toes and fingers.
+    A limb consists of a foot or hand and the two joints above it; twist helper joints are skipped.
+    The pelvis is the lowest joint above both legs, and the torso the lowest joint above both arms.
+    Joints named ankle and wrist are preferred to joints named foot and hand, which may be toes and
+    fingers.
     """
     found: dict[str, int] = {}
     for side in SIDES:
@@ -383,7 +390,7 @@ def _guess_joints(names: Sequence[str], parents: Sequence[int]) -> dict[str, str
 
 
 def _first_named(names: Sequence[str], patterns: Sequence[str], side: str) -> int | None:
-    """Return the first joint that matches the first matching pattern, or None."""
+    """Return the first joint for the first pattern that matches any joint, or None."""
     fitting = (
         i for pattern in patterns for i, name in enumerate(names) if names_body(name, pattern, side)
     )
@@ -391,9 +398,9 @@ def _first_named(names: Sequence[str], patterns: Sequence[str], side: str) -> in
 
 
 def recognise_robot(model: mujoco.MjModel, start: FloatArray) -> RobotMapping:
-    """Return the shipped mapping for the bodies of a robot, else a guess, and log it.
+    """Return and log the shipped mapping for the bodies of a robot, or a guessed mapping.
 
-    The robot stands in the pose `start` (nq,). Errors: see `guess_robot_mapping`.
+    The robot stands in the pose `start` (nq,). Raises ConfigError like `guess_robot_mapping`.
     """
     bodies = {model.body(i).name for i in range(model.nbody)}
     for name in shipped_robot_mappings():

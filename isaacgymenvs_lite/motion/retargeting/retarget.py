@@ -1,4 +1,4 @@
-"""Retargets motion to a shipped humanoid or a robot and logs the remaining errors."""
+"""Retargets motion to a shipped humanoid or a robot, and logs the remaining errors."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
 _log = logging.getLogger(__name__)
 
 KEY_BODIES = ("pelvis", "head", "right_hand", "left_hand", "right_foot", "left_foot")
-_ON_GROUND_M = 0.01  # a point of a sole below this height should not move
+_ON_GROUND_M = 0.01  # a sole's points below this height should not move
 _AT_LIMIT_RAD = np.radians(0.1)
-# Number of corrections of the feet's goals by the soles' errors.
+# The goals of the feet are corrected this many times by the remaining errors of the soles.
 _CORRECTIONS = 2
-# The first frame is a rest pose if its rotation to the second frame exceeds this angle, and the
-# median rotation between frames by this factor.
+# The first frame counts as a rest pose if a joint rotates by more than this angle between the first
+# two frames, and by more than this multiple of the median rotation between frames.
 _JUMP_DEG, _JUMP_RATIO = 20.0, 5.0
 
 
@@ -54,12 +54,15 @@ class RetargetReport:
     """The errors of a retargeted motion."""
 
     scale: float  # the figure's leg length divided by the source's
-    # Mean and largest distance in m of each key body from the scaled source.
+    # Mean and largest distance in m between each key body and its place in the scaled source
+    # motion.
     errors_m: Mapping[str, tuple[float, float]]
-    deepest_m: float  # largest depth of a sole's point below the ground, at least 0
-    # Median and largest horizontal speed of the soles' points in contact; None without contact.
+    deepest_m: float  # largest depth of a sole below the ground, at least 0
+    # Median and largest horizontal speed of those points of the soles that touch the ground, or
+    # None if no point does.
     slide_m_s: tuple[float, float] | None
-    # (share of the frames, name) of the joint that is most often at its limit; None if no joint is.
+    # Share of the frames and name of the joint that is most often at its limit, or None if no joint
+    # ever is.
     limited: tuple[float, str] | None
     fastest_rad_s: float  # the largest speed of a joint
 
@@ -75,11 +78,11 @@ class RetargetReport:
         fps: float,
         fastest_rad_s: float,
     ) -> RetargetReport:
-        """Summarise a motion.
+        """Compute the report of a motion.
 
-        `missed` (T, 3) m are the vectors from the scaled source to each key body. `points`
-        (T, 2, K, 3) m are the soles' points; `contact` (T, 2, K) marks those that rest on the
-        ground in the source. `margins` (T, D) rad are the distances of joints to their nearest
+        `missed` (T, 3) m are the vectors from the scaled source to each key body. `points` (T, 2,
+        K, 3) m are points of the soles; `contact` (T, 2, K) marks points that rest on the ground in
+        the source motion. `margins` (T, D) rad are the distances from joint angles to their nearest
         limits.
         """
         errors = {body: np.linalg.norm(way, axis=-1) for body, way in missed.items()}
@@ -98,7 +101,7 @@ class RetargetReport:
         )
 
     def lines(self) -> list[str]:
-        """Return two lines for a log."""
+        """Return the report as two lines of text."""
         bodies = ", ".join(
             f"{body} {mean:.4f} ({largest:.4f})" for body, (mean, largest) in self.errors_m.items()
         )
@@ -130,7 +133,8 @@ def retarget_bvh(
 ) -> MotionClip:
     """Retarget the motion of a BVH file to a shipped humanoid, and log the remaining errors.
 
-    The part from `start_s` to `end_s` (None: the end) is used, at `fps` (None: the file's rate).
+    The motion from `start_s` to `end_s` is resampled to `fps` and used. If `end_s` is None, the
+    motion is used to its end; if `fps` is None, the file's frame rate is kept.
     """
     source = load_bvh_source(path, mapping, start_s, end_s, fps)
     targets = make_targets(source, humanoid_figure(skeleton))
@@ -154,9 +158,9 @@ def load_bvh_source(
     end_s: float | None = None,
     fps: float | None = None,
 ) -> SourceMotion:
-    """Read the motion of a BVH file; for the arguments see `retarget_bvh`.
+    """Read the motion of a BVH file; `retarget_bvh` describes the arguments.
 
-    A warning is logged if the first frame is probably a rest pose, as in CMU's files.
+    A warning is logged if the first frame is probably a rest pose, like in CMU's files.
     """
     motion = read_bvh(path, [source.joint for source in mapping.sources.values()])
     check_fit(motion, mapping)
@@ -174,14 +178,14 @@ def load_bvh_source(
 
 
 def _frame_to_frame_rad(clip: MotionClip) -> FloatArray:
-    """Return the largest rotation of any joint from each frame to the next, (T - 1,) rad."""
+    """Return the largest joint rotation between successive frames, (T - 1,) rad."""
     turns = clip.local_rotation.astype(np.float64)
     cosines = np.abs((turns[1:] * turns[:-1]).sum(axis=-1))
     return 2.0 * np.arccos(np.minimum(cosines, 1.0)).max(axis=-1)
 
 
 def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> RetargetReport:
-    """Return the errors of a humanoid's clip against its targets."""
+    """Return the errors of a humanoid's clip, compared with its targets."""
     positions, turns = clip.global_poses()
     missed = positions - targets.positions
     feet = [clip.body_names.index(foot) for foot in FEET]
@@ -203,7 +207,7 @@ def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> R
 
 @dataclass(frozen=True, eq=False)
 class RobotMotion:
-    """A retargeted motion of a robot: qpos (T, nq) and its errors."""
+    """A retargeted motion of a robot: qpos (T, nq) and the report of its errors."""
 
     fps: float
     qpos: npt.NDArray[np.float64]
@@ -221,8 +225,8 @@ def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
         feet = targets.positions[:, robot.figure.body_names.index(foot)]
         wanted.append(robot.figure.soles[foot].places(feet, targets.turns[foot]))
     for _ in range(_CORRECTIONS):
-        # A foot without an ankle, or with its ankle at a limit, cannot have the source's rotation.
-        # Its sole then misses its place although the foot's origin does not.
+        # If a foot has no ankle, or its ankle is at a limit, the foot cannot rotate like the
+        # source. The sole is then at a wrong place, although the foot's origin is at its goal.
         goals, points, places = dict(problem.goals), robot.soles(qpos), robot.padded(wanted)
         for side, foot in enumerate(FEET):
             body = robot.mapping.bodies[foot].body
@@ -240,7 +244,7 @@ def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
 
 
 def _make_continuous(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> None:
-    """Change signs of quaternions in poses (T, nq) in place: no jumps, and first w >= 0."""
+    """Change signs of quaternions in place: no jumps over time, and w >= 0 in the first frame."""
     for joint in range(model.njnt):
         kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
         if kind == mujoco.mjtJoint.mjJNT_HINGE:

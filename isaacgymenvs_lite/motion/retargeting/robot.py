@@ -1,4 +1,4 @@
-"""A robot as the target of retargeting: its figure (lengths and soles) and inverse kinematics."""
+"""A robot as the target of retargeting: its limb lengths, its soles and its inverse kinematics."""
 
 from __future__ import annotations
 
@@ -39,23 +39,24 @@ from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations
 
 _START_POSES = ("home", "stand", "standing")
-_LEAD_IN = 30  # frames from the start pose to the first frame of the motion
-_STANDS = 0.4  # least height of a standing robot's hips above its feet, share of the legs' length
+_LEAD_IN = 30  # number of frames from the start pose to the first frame
+_STANDS = 0.4  # height of hips above feet in legs' lengths, at least, if a robot stands
 _LIMBS = (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand"))
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot as the target of retargeting; made by `robot_from_model`."""
+    """A robot as the target of retargeting; `robot_from_model` creates it."""
 
-    model: mujoco.MjModel  # compiled, a free root as first joint, hinges and ball joints
+    model: mujoco.MjModel  # compiled; its first joint is a free root, others are hinges or balls
     mapping: RobotMapping  # the robot's bodies by the humanoid's names
-    start: FloatArray  # (nq,), a pose in which the robot stands upright
-    figure: Figure  # lengths and soles of the upright robot that faces +x
-    # (4,) xyzw, rotations of the bodies in the upright figure by the humanoid's names
+    start: FloatArray  # (nq,), pose in which the robot stands upright
+    figure: Figure  # lengths and soles of the robot, upright and facing +x
+    # (4,) xyzw, rotations of the bodies in the upright figure, by the humanoid's body names.
     frames: dict[str, FloatArray]
-    hips: FloatArray  # (3,) m, from the pelvis' origin to the middle of the hips, upright
-    # Ids and ranges (rad) of the hinges that bend limbs; the ranges exclude the straight limb.
+    hips: FloatArray  # (3,) m, from the pelvis' origin to the middle of the hips
+    # Ranges (rad) of the hinges that bend limbs, by joint id; a straight limb is outside of the
+    # range.
     bends: dict[int, tuple[float, float]]
     followers: Followers  # the joints that follow other joints
 
@@ -71,9 +72,9 @@ class Robot:
         return self.padded(places)
 
     def padded(self, of_feet: Sequence[npt.NDArray[Any]]) -> npt.NDArray[Any]:
-        """Stack values (T, K, ...) of both soles' points into one array (T, 2, K, ...).
+        """Stack values (T, K, ...) for the points of both soles into one array (T, 2, K, ...).
 
-        The foot with fewer points repeats its last point.
+        If one foot has fewer points, its last point is repeated.
         """
         most = max(values.shape[1] for values in of_feet)
         rows = [[min(i, v.shape[1] - 1) for i in range(most)] for v in of_feet]
@@ -85,9 +86,9 @@ def robot_from_model(
 ) -> Robot:
     """Prepare a robot as the target of retargeting.
 
-    The robot stands upright in the pose `start` (nq,); None uses the mapping's start pose. Raises
-    ConfigError for joints other than a free root, hinges and ball joints, names that the model
-    lacks, a start pose in which the robot does not stand, or a foot without geoms.
+    The robot stands upright in the pose `start` (nq,); None selects the mapping's start pose.
+    Raises ConfigError if the robot does not stand in the start pose, if the model does not have a
+    name, if a foot has no geoms, or if joints are neither the free root nor hinges nor ball joints.
     """
     _check(model, mapping)
     followers = Followers(model)
@@ -142,7 +143,7 @@ def robot_from_model(
 
 
 def robot_problem(robot: Robot, targets: Targets, fps: float) -> IkProblem:
-    """Return the inverse kinematics problem for the targets."""
+    """Return the inverse kinematics problem whose goals are the targets."""
     names = robot.figure.body_names
     goals, weights = {}, {}
     for name, entry in robot.mapping.bodies.items():
@@ -159,8 +160,8 @@ def robot_problem(robot: Robot, targets: Targets, fps: float) -> IkProblem:
         goals[entry.body], weights[entry.body] = goal, (entry.position, rotation)
     first_pose = _first_pose(robot, goals)
     places, turns = body_poses(robot.model, first_pose[None], list(goals))
-    # The goals begin with `_LEAD_IN` steps from the first pose: without them the search may rotate
-    # an arm the long way round, to its limits.
+    # `_LEAD_IN` additional goals lead from the first pose to the first target. A direct search may
+    # rotate an arm the long way round and stop at its limits.
     share = np.arange(_LEAD_IN) / _LEAD_IN
     for (body, goal), place, turn in zip(goals.items(), places[0], turns[0], strict=True):
         first = rotations.xyzw_from_wxyz(torch.from_numpy(goal[:1, :4])).numpy()
@@ -174,7 +175,7 @@ def robot_problem(robot: Robot, targets: Targets, fps: float) -> IkProblem:
 
 
 def _check(model: mujoco.MjModel, mapping: RobotMapping) -> None:
-    """Raise a ConfigError for joints that retargeting cannot move and for wrong body names."""
+    """Raise a ConfigError for unsupported joint types and for unknown body names."""
     kinds = [mujoco.mjtJoint(kind) for kind in model.jnt_type]
     if not kinds or kinds[0] != mujoco.mjtJoint.mjJNT_FREE or model.jnt_bodyid[0] != 1:
         raise ConfigError(
@@ -208,9 +209,9 @@ def _check(model: mujoco.MjModel, mapping: RobotMapping) -> None:
 def _bends(
     model: mujoco.MjModel, mapping: RobotMapping, start: FloatArray
 ) -> dict[int, tuple[float, float]]:
-    """Return the hinges that bend limbs (`find_bend`), with the ranges in which they stay, in rad.
+    """Return the hinges that bend limbs (`find_bend`), with the allowed range of each in rad.
 
-    A range is the larger part of the hinge's range on one side of the straight limb.
+    The angle at which the limb is straight divides a hinge's range; the larger side is allowed.
     """
     bends = {}
     for side in SIDES:
@@ -248,7 +249,7 @@ def _limits(robot: Robot) -> JointLimits:
 
 
 def _first_pose(robot: Robot, goals: dict[str, FloatArray]) -> FloatArray:
-    """Return the start pose with bent limbs and with the pelvis at its first goal."""
+    """Return the start pose, changed so that limbs are bent and the pelvis is at its first goal."""
     qpos = robot.start.copy()
     for joint, (low, high) in robot.bends.items():
         near, far = (low, high) if abs(low) < abs(high) else (high, low)

@@ -1,6 +1,6 @@
-"""Mapping files from the humanoid's bodies to a robot's, and guesses for robots without a file.
+"""Mapping files, which assign a robot's bodies to the humanoid's, and guesses of such mappings.
 
-docs/motion_formats.md describes the files; assets/retargeting/robots has the shipped files.
+docs/motion_formats.md describes mapping files; the shipped files are in assets/retargeting/robots.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from isaacgymenvs_lite.robots.start_pose import posed
 from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.utils import rotations
 
-_ANGLES = 91  # number of angles tried for a hinge
-_ASIDE = 0.1  # least distance of hands from the middle, as a share of the root's height
+_ANGLES = 91  # number of angles of a hinge that are tried
+_ASIDE = 0.1  # least distance of hands from the middle plane, in root heights
 _LEG, _ARM = ("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand")
 
 
 def find_bend(
     model: mujoco.MjModel, start: FloatArray, top: int, end: int
 ) -> tuple[int, FloatArray, FloatArray] | None:
-    """Return the hinge that bends a limb (its knee or elbow), or None.
+    """Find the hinge that bends a limb (its knee or elbow); return None if there is none.
 
-    It is the hinge that changes the distance of the bodies `top` and `end` most, with the other
-    joints as in `start` (nq,). The result is the joint's id, angles (rad) over its range, and the
-    distances (m) at these angles.
+    The hinge that changes the distance between the bodies `top` and `end` most is chosen, while the
+    other joints stay in the pose `start` (nq,). Return the joint's id, angles (rad) over its range,
+    and the distances (m) at these angles.
     """
     between = itertools.takewhile(lambda body: body != top, ancestors(model, end)[1:])
     names = [model.body(top).name, model.body(end).name]
@@ -61,11 +61,11 @@ def find_bend(
 
 
 def find_limbs(model: mujoco.MjModel, start: FloatArray) -> dict[str, int]:
-    """Return the body ids of a biped by the humanoid's names, or {}.
+    """Return the body ids of a biped by the humanoid's names; {} if the robot is no biped.
 
-    Legs are the limbs that end on the floor in the pose `start` (nq,); arms are the other limbs
-    that end farthest to the sides. `find_bend` finds shins and lower arms. The robot looks along
-    the x axis of its free root.
+    Legs are the limbs whose last body is on the floor in the pose `start` (nq,). Arms are those
+    other limbs whose last bodies are farthest to the left and right. `find_bend` finds shins and
+    lower arms. The robot faces the x axis of its free root.
     """
     ends = [model.body(name).id for name in limb_ends(model, start)]
     grounded = {model.body_weldid[model.body(name).id] for name in touching_bodies(model, start)}
@@ -90,10 +90,11 @@ def _pair(
     parts: tuple[str, ...],
     aside_m: float,
 ) -> tuple[dict[str, int], int] | None:
-    """Return the links of the limbs that end farthest to the left and right, and their parent.
+    """Return the links of the limbs that reach farthest to the left and right, and their parent.
 
-    The parent is the last body with joints that moves both limbs, or the root. `parts` are the
-    names of a limb's three links. Return None if no pair ends at least `aside_m` from the middle.
+    The parent is the lowest body that has joints and carries both limbs, or the root. `parts` are
+    the names of a limb's three links. Return None if no pair of limbs reaches at least `aside_m`
+    from the middle.
     """
     places, turns = body_poses(model, start[None], [model.body(i).name for i in (1, *ends)])
     back = rotations.quat_conjugate(torch.from_numpy(turns[0, :1])).expand(len(ends), 4)
@@ -102,7 +103,7 @@ def _pair(
     if left_m.max() <= aside_m or left_m.min() >= -aside_m:
         return None
     sides = {"left": ends[int(left_m.argmax())], "right": ends[int(left_m.argmin())]}
-    # The bodies with joints from the root (excluded) to the end of each limb.
+    # A chain holds the bodies with joints from below the root to the last body of a limb.
     chains = {
         side: [i for i in reversed(ancestors(model, end)[:-1]) if model.body_jntnum[i] > 0]
         for side, end in sides.items()
@@ -125,7 +126,7 @@ def _pair(
 
 
 NEEDED = ("pelvis", *(f"{side}_{part}" for side in SIDES for part in ("thigh", "shin", "foot")))
-# The parent of each body; parents come first.
+# The parent of each body by the humanoid's names; parents come first.
 _PARENTS = {
     "torso": "pelvis",
     "head": "torso",
@@ -139,13 +140,13 @@ _PARENTS = {
     },
 }
 ROBOT_BODIES = ("pelvis", *_PARENTS)
-_OF_ARMS = ("lower_arm", "hand")  # these need their parents
+_OF_ARMS = ("lower_arm", "hand")  # are used only with their parents
 _MAX_WEIGHT = 1e3
 
 
 @dataclass(frozen=True, kw_only=True)
 class _BodySettings:
-    """An entry of `bodies`."""
+    """An entry of the key `bodies`."""
 
     body: str = setting()
     position: float | None = setting(None, minimum=0, maximum=_MAX_WEIGHT)
@@ -154,7 +155,7 @@ class _BodySettings:
 
 @dataclass(frozen=True, kw_only=True)
 class _RobotMappingSettings:
-    """A mapping file for a robot."""
+    """The content of a mapping file for a robot."""
 
     bodies: Mapping[str, Any] = setting({})
     start_pose: str = setting("")
@@ -164,7 +165,7 @@ class _RobotMappingSettings:
 
 @dataclass(frozen=True)
 class RobotBody:
-    """A body of the robot, and the weights of its position (1/m) and rotation (1/rad)."""
+    """A body of the robot, with the weights of its position (1/m) and its rotation (1/rad)."""
 
     body: str
     position: float
@@ -173,33 +174,33 @@ class RobotBody:
 
 @dataclass(frozen=True, eq=False)
 class RobotMapping:
-    """A mapping from the humanoid's bodies to a robot's."""
+    """A mapping from the humanoid's bodies to bodies of a robot."""
 
     name: str  # the file, or the name of a shipped mapping
-    # The robot's bodies by the humanoid's names, parents first; all of `NEEDED`, or empty for
-    # `guess_robot_mapping`.
+    # The robot's bodies by the humanoid's names; parents come first. The names include `NEEDED`, or
+    # there are none, and `guess_robot_mapping` finds them.
     bodies: Mapping[str, RobotBody]
-    # Keyframe in which the robot stands upright; "" selects home, stand, standing, or the model's
-    # own pose.
+    # Name of the keyframe in which the robot stands upright. "" selects the keyframe home, stand or
+    # standing, or else the model's default pose.
     start_pose: str = ""
-    fastest_rad_s: float = 20.0  # largest speed of a hinge
-    # The root's quaternion xyzw in the start pose, for `motion.convert`; None: no change.
+    fastest_rad_s: float = 20.0  # largest speed of hinges
+    # The root's quaternion xyzw in the start pose, for `motion.convert`; None leaves it unchanged.
     start_rotation: tuple[float, ...] | None = None
 
     def parent(self, name: str) -> str | None:
-        """Return the nearest mapped ancestor of `name`, or None for the pelvis."""
+        """Return the nearest ancestor of `name` that is in the mapping, or None for the pelvis."""
         above = _PARENTS.get(name)
         return above if above is None or above in self.bodies else self.parent(above)
 
 
 def shipped_robot_mappings() -> dict[str, Path]:
-    """Return the files of the shipped robot mappings by name."""
+    """Return the files of the shipped robot mappings by their names."""
     folder = paths.assets_dir() / "retargeting" / "robots"
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
 def load_robot_mapping(mapping: str | Path) -> RobotMapping:
-    """Read a robot's mapping file, or the shipped mapping of this name, or raise a ConfigError."""
+    """Read a robot's mapping, given its file or a shipped name, or raise a ConfigError."""
     with reading(mapping, "mapping file"):
         path, content = read_mapping_keys(mapping, shipped_robot_mappings(), "bodies")
         settings = read_section(_RobotMappingSettings, content, where=str(path), complete=True)
@@ -243,8 +244,8 @@ def _robot_body(name: str, entry: Any, where: str) -> RobotBody:
     )
 
 
-# Patterns of body and joint names in robots' files by the humanoid's names; the first pattern with
-# a match decides.
+# Patterns of body and joint names in files of robots, by the humanoid's names. The first pattern
+# with a match is used.
 _WORDS = {
     "pelvis": ("pelvis", "hips", "waist_?base|base"),
     "torso": ("torso|chest|thorax", "trunk", "waist|spine|abdomen"),
@@ -266,10 +267,11 @@ _SIDES = {
 def guess_robot_mapping(
     model: mujoco.MjModel, start: FloatArray | None = None
 ) -> tuple[RobotMapping, str]:
-    """Match the bodies of a robot to the humanoid's by their names, else by the joints.
+    """Guess a robot's mapping from the names of bodies, or from the joints if names do not match.
 
-    The robot stands in the pose `start` (nq,); None is the model's own pose. Return the mapping and
-    a line that lists the matches. Raises ConfigError with advice if a part of a leg is not found.
+    The robot stands in the pose `start` (nq,); None selects the model's default pose. Return the
+    mapping, and a line of text that lists the bodies. Raises ConfigError with advice if a part of a
+    leg is not found.
     """
     names = {i: model.body(i).name for i in range(1, model.nbody)}
     found = {
@@ -296,11 +298,11 @@ def guess_robot_mapping(
 
 
 def _plausible(model: mujoco.MjModel, found: Mapping[str, int]) -> dict[str, int]:
-    """Return the matches without contradictions, parents first.
+    """Remove contradictory matches, and return the others; parents come first.
 
-    Second matches of a body, arms without their parents, and links that are not below their parents
-    (for example a quadruped's hind feet) are dropped. A foot without geoms is replaced by the link
-    that carries it.
+    A match is dropped if its body is already matched, if it is a lower arm or hand whose parent is
+    missing, or if its link is not below its parent's link (for example a quadruped's hind foot). A
+    foot without geoms is replaced by the link that carries it.
     """
     kept: dict[str, int] = {}
     for name, body in found.items():
@@ -334,7 +336,7 @@ def _guess(model: mujoco.MjModel, names: Mapping[int, str], name: str) -> int | 
 
 
 def names_body(text: str, pattern: str, side: str) -> bool:
-    """Return whether a name matches the pattern of a body and the side ("" for the middle)."""
+    """Return whether a name matches a body's pattern and side; the side is "" in the middle."""
     lower = text.lower()
     if not re.search(pattern, lower) or _NOT.search(lower):
         return False
@@ -343,7 +345,7 @@ def names_body(text: str, pattern: str, side: str) -> bool:
         for name, of_side in _SIDES.items()
         if re.search(of_side, lower)
         or re.search(of_side, text)
-        or re.match(f"{name[0]}({pattern})", lower)  # lfemur
+        or re.match(f"{name[0]}({pattern})", lower)  # for example lfemur
     }
     return sides == ({side} if side else set())
 
@@ -351,8 +353,8 @@ def names_body(text: str, pattern: str, side: str) -> bool:
 def _of_chain(model: mujoco.MjModel, bodies: Sequence[int], part: str) -> int:
     """Choose one of several links that match the same part, for example hip pitch, roll and yaw.
 
-    A thigh or upper arm is the last link near the first link. A foot, hand or torso is the last
-    link, other parts are the first link.
+    For a thigh or upper arm, the last link near the first link is chosen. For a foot, hand or
+    torso, the last link is chosen, and for other parts the first link.
     """
     if part in ("thigh", "upper_arm"):
         places = posed(model, model.qpos0).xpos[bodies]

@@ -1,7 +1,7 @@
-"""Inverse kinematics of a whole motion with mink.
+"""Inverse kinematics for all frames of a motion, with the library mink.
 
-mink limits only hinges. `DofLimits` also limits the three components of a ball joint's rotation
-vector and the speed of hinges.
+mink limits only the angles of hinges. `DofLimits` also limits the three components of a ball
+joint's rotation vector, and the speed of hinges.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.optional_packages import import_package
 
-_SOLVER = "daqp"  # the quadratic-programming solver that mink itself installs
+_SOLVER = "daqp"  # the quadratic programming solver that mink installs
 _FIRST_ITERATIONS, _ITERATIONS = 200, 20
-_CONVERGED_RAD = 1e-3  # largest step (rad, m) of the last iteration
+_CONVERGED_RAD = 1e-3  # iterations end at a step below this (rad, m)
 _DAMPING = 1e-4
-# Weights of positions (1/m) and rotations (1/rad), by the humanoid's names without their side. Feet
-# have the largest weights, then hands and pelvis, then shins and lower arms, which decide to which
-# side a limb bends. The torso's position keeps a spine of several joints from bending back when an
-# arm is at its limit.
+# Weights of positions (1/m) and rotations (1/rad), by the humanoid's body names without `left_` or
+# `right_`. Feet have the largest weights, then hands and pelvis, then shins and lower arms, whose
+# goals decide to which side a limb bends. The goal for the torso's position keeps a spine with
+# several joints from bending back when an arm is at its limit.
 WEIGHTS = {
     "pelvis": (10.0, 3.0),
     "torso": (4.0, 3.0),
@@ -41,22 +41,23 @@ WEIGHTS = {
     "shin": (8.0, 0.0),
     "foot": (30.0, 3.0),
 }
-# Weights of the distances to the posture and to the frame before. They decide what the targets
-# leave open, for example the twist of a straight arm.
+# Weights of the distance to the posture and of the distance to the last frame. The two weights
+# determine what the goals leave open, for example the twist of a straight arm.
 _POSTURE, _STEADINESS = 0.02, 0.2
-# The search starts with bent limbs; the gradient then knows the side to which they bend.
+# The search starts with knees and elbows bent by this angle, so that the gradient points to the
+# side to which they bend.
 FIRST_BEND_RAD = 0.5
-# Knees and elbows stay bent a little: the search gets stuck at a straight limb, because bending it
-# does not shorten it to first order.
+# Knees and elbows stay bent by at least this angle. The search gets stuck at a straight limb,
+# because a small bend does not change its length to first order.
 LEAST_BEND_RAD = math.radians(2.0)
 
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """Limits of a model's joints."""
+    """Limits of the joints of a model."""
 
-    hinges: Mapping[int, tuple[float, float]]  # joint id -> lowest and highest angle in rad
-    # Joint id -> lowest and highest components (3,) rad of the rotation vector, and the largest
+    hinges: Mapping[int, tuple[float, float]]  # lowest and highest angle (rad) by joint id
+    # By joint id: lowest and highest components (3,) rad of the rotation vector, and the largest
     # length of the vector in rad (MuJoCo's limit of a ball joint).
     balls: Mapping[int, tuple[FloatArray, FloatArray, float]]
     fastest_rad_s: float = math.inf  # largest speed of a hinge
@@ -64,29 +65,30 @@ class JointLimits:
 
 @dataclass(frozen=True, eq=False)
 class IkProblem:
-    """A model with a free root as its first joint, and the goals of its bodies in T frames."""
+    """A model whose first joint is a free root, and the goals of its bodies in T frames."""
 
     model: mujoco.MjModel  # the compiled model
     fps: float  # frames per second
-    goals: Mapping[str, FloatArray]  # (T, 7) by body: quaternion wxyz and position in m
-    weights: Mapping[str, tuple[float, float]]  # by body: of position (1/m) and rotation (1/rad)
-    first_pose: FloatArray  # (nq,), the start of the first frame's search
-    posture: FloatArray  # (nq,), the preferred pose where the goals leave a choice
+    goals: Mapping[str, FloatArray]  # (T, 7) quaternion wxyz and position in m by body
+    weights: Mapping[str, tuple[float, float]]  # position (1/m) and rotation (1/rad)
+    first_pose: FloatArray  # (nq,), start of the search in the first frame
+    posture: FloatArray  # (nq,), preferred pose if the goals leave a choice
     limits: JointLimits  # limits of the joints
-    lead_in: int = 0  # number of first frames that guide the search and are not returned
+    lead_in: int = 0  # number of first frames that are solved but not returned
 
 
 def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
-    """Return the poses (T, nq) nearest to the goals within the joint limits.
+    """Return the poses (T, nq) within the joint limits that are nearest to the goals.
 
-    Each search starts from the pose of the frame before. Followers follow their leaders exactly.
+    The search in a frame starts from the pose of the last frame. Joints that are coupled to another
+    joint (`followers`) follow it exactly.
     """
     mink = import_package("mink", "retargeting")
     model = problem.model
     configuration = mink.Configuration(model)
     configuration.update(problem.first_pose.copy())
     jointed = np.ones(model.nv)
-    jointed[:6] = 0.0  # the root has no posture
+    jointed[:6] = 0.0  # the posture does not concern the root
     posture = mink.PostureTask(model, cost=_POSTURE * jointed)
     posture.set_target(problem.posture)
     steadiness = mink.PostureTask(model, cost=_STEADINESS * jointed)
@@ -127,7 +129,7 @@ def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
 
 
 def weights_of(body: str) -> tuple[float, float] | None:
-    """Return the weights of a humanoid's body; None if it has no goal."""
+    """Return the weights of a body of the humanoid, or None if the body has no goal."""
     return WEIGHTS.get(body) or WEIGHTS.get(body.partition("_")[2])
 
 
@@ -135,7 +137,8 @@ def humanoid_problem(
     model: mujoco.MjModel, skeleton: Skeleton, targets: Targets, fps: float
 ) -> IkProblem:
     """Return the inverse kinematics problem of a shipped humanoid."""
-    # Rigid hands have no rotation of their own: they follow their forearms.
+    # A rigid hand cannot rotate relative to its forearm, and therefore has no goal for its
+    # rotation.
     jointed = {skeleton.body_names[body] for body in (0, *skeleton.dof_body_ids)}
     weights = {
         body: (pair[0], pair[1] if body in jointed & set(targets.turns) else 0.0)
@@ -144,7 +147,8 @@ def humanoid_problem(
     }
     goals = {body: body_goals(skeleton.body_names, targets, body) for body in weights}
     limits = humanoid_limits(model, skeleton)
-    # The zero pose with bent knees and elbows, and the pelvis at its first goal.
+    # The first pose is the zero pose with bent knees and elbows, and with the pelvis at its first
+    # goal.
     first_pose = model.qpos0.copy()
     first_pose[:7] = np.roll(goals["pelvis"][0], 3)
     for joint in limits.hinges:
@@ -154,7 +158,7 @@ def humanoid_problem(
 
 
 def body_goals(names: Sequence[str], targets: Targets, body: str) -> FloatArray:
-    """Return the targets of a body as quaternions wxyz and positions (T, 7)."""
+    """Return the goals (T, 7) of a body, quaternion wxyz and position."""
     places = targets.positions[:, names.index(body)]
     upright = np.tile((0.0, 0.0, 0.0, 1.0), (len(places), 1))
     turns = torch.from_numpy(targets.turns.get(body, upright))
@@ -162,7 +166,7 @@ def body_goals(names: Sequence[str], targets: Targets, body: str) -> FloatArray:
 
 
 def humanoid_limits(model: mujoco.MjModel, skeleton: Skeleton) -> JointLimits:
-    """Return the limits of a shipped humanoid's joints; straight knees and elbows are excluded."""
+    """Return the joint limits of a shipped humanoid, which exclude straight knees and elbows."""
     lower, upper = skeleton.dof_limits.T
     hinges, balls = {}, {}
     spans = itertools.pairwise(skeleton.dof_offsets)
@@ -171,14 +175,14 @@ def humanoid_limits(model: mujoco.MjModel, skeleton: Skeleton) -> JointLimits:
         if end - start == 3:
             balls[joint] = (lower[start:end], upper[start:end], math.inf)
         else:
-            # A limit of 0 is the straight limb.
+            # The limb is straight at a limit of 0.
             low, high = float(lower[start]), float(upper[start])
             hinges[joint] = (low or LEAST_BEND_RAD, high or -LEAST_BEND_RAD)
     return JointLimits(hinges, balls)
 
 
 class DofLimits:
-    """Linear limits of a step from the present pose, with the interface of mink's limits."""
+    """Linear limits on a step from the current pose, with the interface of mink's limits."""
 
     def __init__(self, mink: Any, model: mujoco.MjModel, limits: JointLimits) -> None:
         self._constraint = mink.Constraint
@@ -191,11 +195,14 @@ class DofLimits:
         self._reach = math.inf
 
     def start_frame(self, last: FloatArray, time_s: float) -> None:
-        """Limit the hinges' speed from the pose `last` (nq,) `time_s` before."""
+        """Limit the speed of hinges, given the pose `last` (nq,) `time_s` earlier."""
         self._last, self._reach = last[self._columns], self._limits.fastest_rad_s * time_s
 
     def compute_qp_inequalities(self, configuration: Any, dt: float) -> Any:
-        """Return G and h of G step <= h for a step (nv,) in the tangent space; `dt` is unused."""
+        """Return G and h of the limits G step <= h on a step (nv,) in the tangent space.
+
+        `dt` is not used.
+        """
         angles, lower, upper = configuration.q[self._columns], self._lower, self._upper
         if self._last is not None:
             lower = np.maximum(lower, self._last - self._reach)
@@ -218,10 +225,10 @@ class DofLimits:
 
 
 def nearest_vector(quaternion: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the rotation vector (3,) rad of a quaternion (4,) wxyz that exceeds the limits least.
+    """Return the rotation vector (3,) rad of a quaternion wxyz that violates the limits least.
 
-    The angles a and a - 360 deg about an axis are the same rotation. An arm slightly beyond its
-    limit of -180 deg must not appear at 180 deg.
+    A quaternion has several rotation vectors, because the angles a and a - 360 deg are the same
+    rotation. An arm slightly beyond its limit of -180 deg must not be read as 180 deg.
     """
     short = np.zeros(3)
     mujoco.mju_quat2Vel(short, quaternion, 1.0)
@@ -233,9 +240,9 @@ def nearest_vector(quaternion: FloatArray, lower: FloatArray, upper: FloatArray)
 
 
 def vector_jacobian(vector: FloatArray) -> npt.NDArray[np.float64]:
-    """Return the derivative (3, 3) of a rotation vector by a small rotation in the child's frame.
+    """Return the derivative (3, 3) of a rotation vector to a small rotation in the child's frame.
 
-    This is the inverse of the right Jacobian of SO(3).
+    The derivative is the inverse of the right Jacobian of SO(3).
     """
     angle = float(np.linalg.norm(vector))
     x, y, z = vector

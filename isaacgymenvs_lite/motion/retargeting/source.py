@@ -1,4 +1,4 @@
-"""The source motion of a retargeting, and the figures (lengths and soles) that it moves."""
+"""The source motion of a retargeting, and limb lengths and soles of the figure that imitates it."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ FEET = tuple(f"{side}_foot" for side in SIDES)
 
 @dataclass(frozen=True, eq=False)
 class SourceMotion:
-    """T frames of a figure in its own size; its bodies have the humanoid's names."""
+    """T frames of the source figure, not scaled; its bodies have the humanoid's names."""
 
     name: str  # the clip or file
     fps: float  # frames per second
-    places: Mapping[str, FloatArray]  # (T, 3) m, world position of each body's origin, z up
-    # (T, 4) xyzw, world rotations; the identity is the upright figure that faces +x. Limbs have
-    # none: their rotations follow from the positions.
+    places: Mapping[str, FloatArray]  # (T, 3) m by body, world positions of origins, z up
+    # (T, 4) xyzw, world rotations by body, relative to the upright figure that faces +x. Limbs have
+    # no entry, because their rotations follow from positions.
     turns: Mapping[str, FloatArray]
-    levelled: tuple[str, ...] = ()  # feet whose soles `targets` makes parallel to the ground
+    levelled: tuple[str, ...] = ()  # feet whose soles shall become parallel to the ground
 
 
 def source_from_bvh(clip: MotionClip, mapping: SkeletonMapping) -> SourceMotion:
-    """Return the motion of a BVH file's skeleton, in m, z up, which has the mapping's joints."""
+    """Return the motion of a BVH file in m and with z up; the file has the mapping's joints."""
     everywhere, attitudes = clip.global_poses()
     index = {body: clip.body_names.index(s.joint) for body, s in mapping.sources.items()}
     return SourceMotion(
@@ -55,7 +55,7 @@ def source_from_bvh(clip: MotionClip, mapping: SkeletonMapping) -> SourceMotion:
 
 
 def source_from_clip(clip: MotionClip) -> SourceMotion:
-    """Return the motion of a clip of a shipped humanoid, or raise a MotionFileError."""
+    """Return the source motion for a clip of a shipped humanoid; refuse other clips."""
     if shipped_humanoid_with(clip.body_names) is None:
         raise MotionFileError(
             f"{clip.name}: no shipped humanoid has its {clip.num_bodies} bodies; give a clip of a "
@@ -69,7 +69,7 @@ def source_from_clip(clip: MotionClip) -> SourceMotion:
 
 
 def leg_length(places: Mapping[str, FloatArray]) -> float:
-    """Return the length of thigh and shin in m, averaged over both legs and all frames (T, 3)."""
+    """Return the length of thigh and shin in m, the mean over both legs and all frames (T, 3)."""
     total = 0.0
     for side in SIDES:
         for upper, lower in (("thigh", "shin"), ("shin", "foot")):
@@ -79,7 +79,7 @@ def leg_length(places: Mapping[str, FloatArray]) -> float:
 
 
 def rotated_in_body(turns: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return rotations (T, 4), each followed by the rotation `frame` (4,) in the body's axes."""
+    """Return rotations (T, 4), each multiplied by the rotation `frame` (4,) in the body's axes."""
     q = torch.from_numpy(turns)
     return rotations.quat_mul(q, torch.from_numpy(frame).expand_as(q)).numpy()
 
@@ -90,11 +90,11 @@ def rotate(turns: FloatArray, vector: FloatArray) -> FloatArray:
     return rotations.quat_apply(q, torch.from_numpy(vector).expand(len(q), 3)).numpy()
 
 
-# Radii of the humanoid's hands and knees (at the origins of the shins).
+# Radii of the humanoid's hands and of its knees, which are the origins of the shins.
 _ROUND_M = {"right_hand": 0.04, "left_hand": 0.04, "right_shin": 0.05, "left_shin": 0.05}
-# Points up to this height above the lowest point belong to the sole.
+# A foot's points up to this height above its lowest point belong to the sole.
 _SOLE_M = 0.015
-# A sole with more points is reduced to the outermost points in this many horizontal directions.
+# A sole with more points is reduced to its outermost points in this many horizontal directions.
 _DIRECTIONS = 12
 _Geom = mujoco.mjtGeom
 _ENDS = tuple(itertools.product((-1.0, 1.0), repeat=3))
@@ -102,20 +102,20 @@ _ENDS = tuple(itertools.product((-1.0, 1.0), repeat=3))
 
 @dataclass(frozen=True, eq=False)
 class Sole:
-    """The balls of a foot that can touch the ground; corners are balls of radius 0."""
+    """The parts of a foot that can touch the ground: balls and corners (balls of radius 0)."""
 
-    points: FloatArray  # (K, 3) m, centres relative to the foot, in the upright figure's axes
+    points: FloatArray  # (K, 3) m, centres relative to the upright foot
     radii: FloatArray  # (K,) m
 
     @property
     def length_m(self) -> float:
-        """The largest extent along an axis, balls included."""
+        """The largest extent of the sole along an axis, including the balls."""
         radii = self.radii[:, None]
         extent = (self.points + radii).max(axis=0) - (self.points - radii).min(axis=0)
         return max(float(extent.max()), 1e-3)
 
     def places(self, feet: FloatArray, turns: FloatArray) -> FloatArray:
-        """Return the balls' lowest points (T, K, 3) m for feet at (T, 3) with rotations (T, 4)."""
+        """Return the lowest point (T, K, 3) m of each ball, given foot poses (T, 3) and (T, 4)."""
         centres = np.stack([feet + rotate(turns, point) for point in self.points], axis=1)
         return centres - self.radii[:, None] * np.array((0.0, 0.0, 1.0))
 
@@ -127,14 +127,14 @@ class Sole:
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """An upright figure that faces +x: J bodies with the humanoid's names, parents first."""
+    """An upright figure with J bodies, which have the humanoid's names; the figure faces +x."""
 
-    body_names: tuple[str, ...]  # J names
+    body_names: tuple[str, ...]  # J names; parents come first
     parent_indices: tuple[int, ...]  # J ids, -1 for the pelvis
-    offsets: FloatArray  # (J, 3) m, relative to the parent; the pelvis' row is not used
-    soles: Mapping[str, Sole]  # by foot
-    round_m: Mapping[str, float]  # m, radii of bodies that may lie on the ground
-    pins_feet: bool  # whether feet in contact are held in place
+    offsets: FloatArray  # (J, 3) m, relative to the parent (row 0 is not used)
+    soles: Mapping[str, Sole]  # the sole of each foot
+    round_m: Mapping[str, float]  # radii in m of hands and knees, which may touch the ground
+    pins_feet: bool  # whether feet are held in place while they touch the ground
 
     @property
     def leg_length_m(self) -> float:
@@ -163,7 +163,7 @@ def humanoid_figure(skeleton: Skeleton) -> Figure:
 
 
 def round_bodies(figure_leg_m: float, names: tuple[str, ...]) -> dict[str, float]:
-    """Return the radii in m of a figure's hands and knees, in proportion to its legs."""
+    """Return the radii in m of a figure's hands and knees, which are proportional to its legs."""
     humanoid_leg_m = humanoid_figure(skeleton_for_num_dofs(28)).leg_length_m
     radii = _ROUND_M.items()
     return {body: m * figure_leg_m / humanoid_leg_m for body, m in radii if body in names}
@@ -172,12 +172,12 @@ def round_bodies(figure_leg_m: float, names: tuple[str, ...]) -> dict[str, float
 def find_sole(
     model: mujoco.MjModel, start: FloatArray, foot: str
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return the balls of a robot's sole: centres (K, 3) m relative to the foot, and radii (K,) m.
+    """Return centres (K, 3) m relative to the foot and radii (K,) m of the balls of a robot's sole.
 
     The centres are in world axes in the pose `start` (nq,), in which the robot stands with flat
-    feet. They are corners, ends, centres or vertices of geoms. The geoms belong to the foot and its
-    child bodies; visual geoms count only without collision geoms. Raises ConfigError for a foot
-    without geoms.
+    feet. The centres are corners, ends, centres or vertices of the geoms of the foot and its child
+    bodies. Visual geoms are used only if there are no collision geoms. Raises ConfigError for a
+    foot without geoms.
     """
     data, body = posed(model, start), model.body(foot).id
     geoms = [i for i in range(model.ngeom) if body in ancestors(model, int(model.geom_bodyid[i]))]
@@ -199,7 +199,7 @@ def find_sole(
 def _points(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int
 ) -> tuple[npt.NDArray[np.float64], float]:
-    """Return a geom's points (K, 3) m in the world, and the radius of the balls around them."""
+    """Return world positions (K, 3) m of the balls that form a geom, and their radius."""
     kind, size = _Geom(int(model.geom_type[geom])), model.geom_size[geom]
     radius = 0.0
     if kind == _Geom.mjGEOM_SPHERE:

@@ -1,4 +1,4 @@
-"""Target poses of a figure's bodies: the source's motion scaled limb by limb, with feet at rest."""
+"""Target poses for a figure's bodies: the source motion with the figure's limb lengths."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from isaacgymenvs_lite.motion.retargeting.source import (
 )
 from isaacgymenvs_lite.utils import rotations
 
-Flags = npt.NDArray[np.bool_]  # True for points that touch the ground
+Flags = npt.NDArray[np.bool_]  # True for points on the ground
 
-# A point of a sole touches the ground while it is lower and slower than this.
+# A point of a sole touches the ground while its height (m) and speed (m/s) are below these.
 CONTACT_LOW_M, _SLOW_M_S = 0.02, 0.5
-_CLEARANCE = 0.12  # least height of a foot in mid swing, in lengths of the sole
-_RISE_SHARE = 0.3  # share of a swing in which the foot rises
-_BLEND = 0.05  # height in which two curves are blended, in lengths of the sole
+_CLEARANCE = 0.12  # least height of a foot in the middle of a swing, in sole lengths
+_RISE_SHARE = 0.3  # the foot rises in this share of a swing
+_BLEND = 0.05  # two height curves are blended over this height, in sole lengths
 _MOST_TWIST_RAD = np.radians(20.0)
-# Contacts, and gaps in contacts, up to this length are noise.
+# Shorter contacts and shorter gaps between contacts are noise.
 _NOISE_S = 0.05
-# A point this much above the lowest point has 1 / e of its weight.
+# The weight of a sole's point falls by the factor e for every 5 mm above the lowest point.
 _RESTS_M = 0.005
 
 
 def pin_feet(
     sole: Sole, feet: FloatArray, turns: FloatArray, fps: float
 ) -> tuple[Flags, FloatArray, FloatArray]:
-    """Hold a foot in contact; return contacts (T, K), positions (T, 3) and rotations (T, 4) xyzw.
+    """Keep a foot still during contacts; return contacts (T, K) and foot poses (T, 3), (T, 4).
 
-    The correction changes smoothly between contacts. `feet` (T, 3) m are positions over the ground
-    z = 0 and `turns` (T, 4) xyzw the foot's rotations.
+    The correction changes smoothly between contacts. `feet` (T, 3) m are the foot's positions, with
+    the ground at z = 0, and `turns` (T, 4) xyzw its rotations.
     """
     contact = find_contacts(sole.places(feet, turns), fps)
     touching = np.any(contact, axis=1)
@@ -50,7 +50,7 @@ def pin_feet(
     moved = _planted(points, contact)
     _bridge(moved, touching)
     least = _CLEARANCE * sole.length_m * swing_profile(touching) - points[..., 2].min(axis=1)
-    # The larger of both heights, with a smooth transition in a swing.
+    # The larger of the two heights is taken, with a smooth transition in a swing.
     width = _BLEND * sole.length_m
     round_off = np.maximum(width - np.abs(moved[:, 2] - least), 0.0) ** 2 / (4.0 * width)
     moved[:, 2] = np.maximum(moved[:, 2], least) + np.where(~touching, round_off, 0.0)
@@ -58,9 +58,9 @@ def pin_feet(
 
 
 def _untwisted(sole: Sole, feet: FloatArray, turns: FloatArray, contact: Flags) -> FloatArray:
-    """Return the rotations (T, 4) without rotation about z during contacts.
+    """Remove rotation about z during contacts from a foot's rotations (T, 4), and return them.
 
-    A foot that rotates far on the ground, for example in a dance, keeps its rotation.
+    If a foot rotates far on the ground, for example in a dance, its rotations are unchanged.
     """
     points = sole.places(feet, turns)[..., :2]
     touching = np.any(contact, axis=1)
@@ -80,7 +80,10 @@ def _untwisted(sole: Sole, feet: FloatArray, turns: FloatArray, contact: Flags) 
 
 
 def _twist(before: FloatArray, after: FloatArray) -> float:
-    """Return the best rotation in rad between two sets of points (K, 2); 0 for a single point."""
+    """Return the angle in rad that best rotates one set of points (K, 2) into the other.
+
+    For a single point it is 0.
+    """
     if len(before) < 2:
         return 0.0
     a, b = before - before.mean(axis=0), after - after.mean(axis=0)
@@ -89,9 +92,10 @@ def _twist(before: FloatArray, after: FloatArray) -> float:
 
 
 def swing_profile(touching: Flags) -> FloatArray:
-    """Return a smooth profile (T,): 0 in contact, 1 in the middle of each swing.
+    """Return a smooth curve (T,) that is 0 in contacts and 1 in the middle of each swing.
 
-    A swing at an end of the motion stays at 1 until this end.
+    In a swing with which the motion begins or ends, the curve is 1 from there to the swing's
+    middle.
     """
     profile = np.zeros(len(touching))
     for start, end in spans(~touching):
@@ -108,10 +112,11 @@ def _smoothed(share: FloatArray) -> FloatArray:
 
 
 def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
-    """Return the root's rise (T,) m that puts the lowest point in contact on the ground.
+    """Return the height (T,) m by which the root must rise, so that feet are on the ground.
 
-    The rise changes smoothly between contacts and leaves no point below the ground. `points`
-    (T, ..., 3) m belong to all soles, and `contact` (T, ...) marks points in contact.
+    In each frame, the lowest point in contact comes to z = 0. The height changes smoothly between
+    contacts, and no point stays below the ground. `points` (T, ..., 3) m are the points of all
+    soles, and `contact` (T, ...) marks points in contact.
     """
     heights = np.where(contact, points[..., 2], np.inf).reshape(len(points), -1).min(axis=1)
     touching = np.isfinite(heights)
@@ -122,10 +127,10 @@ def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
 
 
 def replanted(points: FloatArray, wanted: FloatArray, contact: Flags) -> FloatArray:
-    """Return the shift (T, 3) m with which a foot rests near `wanted` without sliding.
+    """Return the shift (T, 3) m of a foot that keeps it near `wanted` and still during contacts.
 
-    The shift changes smoothly between contacts. `points` and `wanted` (T, K, 3) m are the sole's
-    present and desired points; `contact` (T, K) marks points in contact.
+    The shift changes smoothly between contacts. `points` and `wanted` (T, K, 3) m are the current
+    and the desired points of the sole; `contact` (T, K) marks points in contact.
     """
     touching = np.any(contact, axis=1)
     moved = _planted(points, contact)
@@ -138,9 +143,10 @@ def replanted(points: FloatArray, wanted: FloatArray, contact: Flags) -> FloatAr
 
 
 def _planted(points: FloatArray, contact: Flags) -> FloatArray:
-    """Return the shift (T, 3) m with which points rest on z = 0 without sliding; else 0.
+    """Return the shift (T, 3) m that keeps points in contact still on z = 0.
 
-    The mean horizontal shift of a contact is zero: the foot stays near the source's position.
+    Without contact the shift is 0. The mean horizontal shift in a contact is zero, and the foot
+    therefore stays near its position in the source motion.
     """
     moved = np.zeros((len(points), 3))
     for start, end in spans(np.any(contact, axis=1)):
@@ -155,10 +161,10 @@ def _planted(points: FloatArray, contact: Flags) -> FloatArray:
 
 
 def _resting(heights: FloatArray, contact: Flags) -> FloatArray:
-    """Return the weight of each point of a foot (T, K), with sum 1, or 0 without contact.
+    """Return weights (T, K) of a foot's points, whose sum is 1 in contacts and otherwise 0.
 
-    Weights fall smoothly with the height over the lowest point in contact, because higher points
-    move while the foot rolls over its heel or toes.
+    The weight of a point falls smoothly with its height above the lowest point in contact, because
+    higher points move while the foot rolls over its heel or toes.
     """
     above = heights - np.where(contact, heights, np.inf).min(axis=1, keepdims=True)
     weights = np.where(contact, np.exp(-np.where(contact, above, 0.0) / _RESTS_M), 0.0)
@@ -166,7 +172,7 @@ def _resting(heights: FloatArray, contact: Flags) -> FloatArray:
 
 
 def find_contacts(points: FloatArray, fps: float) -> Flags:
-    """Return whether points (T, K, 3) m touch the ground z = 0, (T, K)."""
+    """Return (T, K) bool, whether each of the points (T, K, 3) m touches the ground z = 0."""
     speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1) * fps
     contact = (points[..., 2] < CONTACT_LOW_M) & (speed < _SLOW_M_S)
     longest = round(_NOISE_S * fps)
@@ -181,13 +187,13 @@ def find_contacts(points: FloatArray, fps: float) -> Flags:
 
 
 def spans(flags: Flags) -> list[tuple[int, int]]:
-    """Return (start, end) of every run of True in (T,), the end excluded."""
+    """Return (first index, last index + 1) of every run of True values in an array (T,)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
     return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
 
 
 def _bridge(values: FloatArray, known: Flags) -> None:
-    """Fill unknown rows of (T, D) in place by smooth transitions between the known rows."""
+    """Fill unknown rows of an array (T, D) in place by smooth transitions between known rows."""
     if not known.any():
         values[:] = 0.0
         return
@@ -201,36 +207,37 @@ def _bridge(values: FloatArray, known: Flags) -> None:
 
 _log = logging.getLogger(__name__)
 
-# Bodies in the source's direction from their parent, at the figure's distance.
+# The direction of these bodies from their parents comes from the source, and their distance from
+# the figure.
 _LIMBS = ("lower_arm", "hand", "shin")
-# A foot is on the ground while its joint is slower than this and near its lowest height.
+# A foot is on the ground while its joint is near its lowest height and slower than this.
 _CONTACT_SPEED = 0.2  # m/s
 _CONTACT_HEIGHT_M = 0.01
 _FEWEST_CONTACT_FRAMES = 5
-# A larger tilt of the sole belongs to the motion, a smaller one to the rig.
+# A tilt of the sole above this angle is part of the motion; a smaller tilt is an error of the rig.
 _MOST_LEVELLING_RAD = np.radians(15.0)
-# Noise may put points below the ground in this share of the frames.
+# In this share of the frames, points may be below the ground because of noise.
 _BELOW_GROUND_SHARE = 0.02
-# A sole is level if its points differ in height by less than this share of its length.
+# A sole is level if the heights of its points differ by less than this share of its length.
 _LEVEL = 0.1
-# Largest depth of rolling toes below the ground, in lengths of the sole.
+# Toes may be this deep below the ground while a foot rolls over them, in sole lengths.
 _DEEPEST = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """World poses of J bodies in T frames."""
+    """Target poses of J bodies in T frames, in world axes."""
 
     # (T, J, 3) m, origins of the bodies. Limbs have the figure's lengths and the source's
-    # directions; pelvis and feet are scaled by the length of the legs.
+    # directions. Positions of pelvis and feet are scaled by the ratio of the leg lengths.
     positions: FloatArray
-    turns: dict[str, FloatArray]  # (T, 4) xyzw, rotations by body, for bodies that have a target
+    turns: dict[str, FloatArray]  # (T, 4) xyzw by body, if the body has a target rotation
     scale: float  # the figure's leg length divided by the source's
-    contacts: dict[str, Flags]  # (T, K) by foot, whether the sole's points rest on the ground
+    contacts: dict[str, Flags]  # (T, K) by foot, whether points of the sole are on the ground
 
 
 def make_targets(source: SourceMotion, figure: Figure) -> Targets:
-    """Return the targets of a figure that imitates the source."""
+    """Return the target poses of a figure that imitates the source motion."""
     turns = dict(source.turns)
     scale = figure.leg_length_m / leg_length(source.places)
     scaled = {body: place * scale for body, place in source.places.items()}
@@ -256,7 +263,7 @@ def make_targets(source: SourceMotion, figure: Figure) -> Targets:
             pinned = pin_feet(sole, feet, turns[foot], source.fps)
             contacts[foot], positions[:, column], turns[foot] = pinned
         else:
-            # Noise must not put the sole below the ground.
+            # Noise must not move the sole below the ground.
             feet[:, 2] += np.maximum(ground - soles[foot], 0.0)
             contacts[foot] = find_contacts(sole.places(feet, turns[foot]), source.fps)
     return Targets(positions, turns, scale, contacts)
@@ -269,10 +276,11 @@ def _ground_of_level_soles(
     fps: float,
     ground: float,
 ) -> float:
-    """Return the height (m) of soles at rest above `ground`, or 0 if it is small.
+    """Return the height (m) of resting soles above `ground`, or 0 if this height is small.
 
-    A sole longer than the source's goes below the ground while the foot rolls over its toes. Soles
-    that are level and slow show the real ground.
+    If the figure's soles are longer than the source's, toes go below the ground while a foot rolls
+    over them, and the lowest points are not the ground. Soles that are level and slow are on the
+    real ground.
     """
     heights = []
     for foot in FEET:
@@ -295,10 +303,10 @@ def _widen_stance(
     scaled: dict[str, FloatArray],
     turns: dict[str, FloatArray],
 ) -> None:
-    """Move the feet apart by the difference in hip width between the figure and the scaled source.
+    """Move the feet apart by the difference of hip widths between the figure and the scaled source.
 
-    The legs keep their directions. A foot moves along its own left axis: a standing foot then has
-    the same shift in all frames.
+    The directions of the legs do not change. A foot is moved along its own left axis, which is
+    constant while the foot stands.
     """
     rest = figure.rest_places()
     own = float(np.linalg.norm(rest["left_thigh"] - rest["right_thigh"]))
@@ -314,9 +322,9 @@ def _add_other_bodies(
     source: SourceMotion,
     turns: dict[str, FloatArray],
 ) -> None:
-    """Add the positions of trunk and limbs, from the pelvis outwards.
+    """Add the target positions of trunk and limbs, from the pelvis outwards.
 
-    Bodies without a source (sword and shield) get their parent's position.
+    Bodies that are not in the source (sword and shield) get the position of their parent.
     """
     places = source.places
     for i, body in enumerate(figure.body_names):
@@ -336,9 +344,10 @@ def _add_other_bodies(
 
 
 def _levelled(turns: FloatArray, places: FloatArray, fps: float, foot: str) -> FloatArray:
-    """Return the rotations (T, 4) of a foot, corrected for a flat sole during contact.
+    """Return the rotations (T, 4) of a foot, corrected so that its sole is flat during contacts.
 
-    Rigs differ in the frame of a foot; the median over the frames on the ground shows its up axis.
+    The frame of a foot differs between rigs. The foot's up axis is the median over the frames in
+    which the foot is on the ground.
     """
     speed = np.linalg.norm(np.gradient(places, axis=0), axis=1) * fps
     low = places[:, 2] < np.quantile(places[:, 2], 0.05) + _CONTACT_HEIGHT_M
