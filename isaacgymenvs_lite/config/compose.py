@@ -22,13 +22,14 @@ from isaacgymenvs_lite.paths import PARTS, cfg_dir
 from isaacgymenvs_lite.schema import leaves, nearest
 
 ANY_TRAIN_FILE = "CartpolePPO"
-"""The train file of a tree whose train section nobody reads."""
-# IsaacGymEnvs has 1.1, which warns at every start. cfg/config.yaml sets both values in which the
-# versions differ: the working directory, and `_self_` in the defaults list.
+"""The train file of trees that are composed only for their task section."""
+# Hydra's `version_base`. IsaacGymEnvs has 1.1, which warns at every start. cfg/config.yaml sets
+# both values in which the versions differ: the working directory, and `_self_` in the defaults
+# list.
 HYDRA_VERSION_BASE = "1.3"
 
-# Composing raises these errors for a user's mistake. Hydra raises ValueError for an override of a
-# wrong type, for example a number for a task.
+# Hydra and OmegaConf raise these errors for a user's mistake. Hydra raises ValueError for an
+# override of a wrong type, for example a number for a task.
 ComposeError = (HydraException, OmegaConfBaseException, ValueError, RecursionError)
 
 _ALIKE = 0.75
@@ -54,13 +55,15 @@ def compose(
 ) -> DictConfig:
     """Compose the configuration tree as `python train.py <overrides>` does.
 
-    A running Hydra job may call this function; the job's own task and train file have no influence.
+    A running Hydra job may call this function; the task and train file of the job have no
+    influence.
 
     Args:
         overrides: settings, for example `["task=HumanoidAMP", "num_envs=64"]`; `train=` and
             `task=` may name files by their paths.
         config_dir: a folder with more task/ and train/ files, like `--config-dir`.
-        trains: whether a training may write into the folder that the files name.
+        trains: whether the result may be used for a training, which writes into the folder that the
+            files name.
 
     Returns:
         The tree with the keys of cfg/config.yaml, interpolations unresolved, in struct mode.
@@ -80,8 +83,8 @@ def compose_task(
 ) -> DictConfig:
     """Compose the tree of a task for a program or another library; see `compose`.
 
-    The tree gets some train file, because a task may have none; nobody reads it. `task=` and
-    `train=` among the overrides take precedence.
+    The tree contains an arbitrary train file, because a task may have no train file; nobody reads
+    its content. `task=` and `train=` among the overrides take precedence.
     """
     words = [
         f"{group}={name}"
@@ -92,7 +95,7 @@ def compose_task(
 
 
 def changed_by(tree: DictConfig, overrides: Sequence[str]) -> DictConfig:
-    """Return a stored tree, for example a run's config.yaml, changed by overrides.
+    """Apply overrides to a copy of a stored tree, for example a run's config.yaml, and return it.
 
     Raises:
         ConfigError: an override is wrong, or its key is not in the tree.
@@ -222,7 +225,7 @@ def _unknown_key(key: str, files: StagedFiles) -> ConfigError:
 
 
 def missing_task(name: str) -> str | None:
-    """Return a message about a published task that this project lacks; None for any other name.
+    """Return a message if `name` is a published task that this project lacks, else None.
 
     The name may also be a train file's name, for example `ShadowHandPPOAsymmLSTM`.
     """

@@ -31,7 +31,7 @@ from isaacgymenvs_lite.utils.optional_packages import require
 log = logging.getLogger(__name__)
 
 _GROUPS = ("task", "train", "pbt")
-# Other code reads these sections before the task or the agent checks their keys.
+# Sections that other code reads before the task or the agent checks their keys.
 _SECTIONS = (
     *("task.env", "task.sim", "task.task", "train.params"),
     *(f"train.params.{name}" for name in ("algo", "model", "network", "config")),
@@ -48,7 +48,7 @@ _SEED_OF_DETERMINISTIC_RUNS = 42
 _RANDOM_SEEDS = 10_000
 _MAX_SEED = 2**32 - 1  # numpy's
 MAX_THREADS = 1024
-"""Upper limit of num_threads: every thread takes memory, and no CPU has as many cores."""
+"""Upper limit of num_threads. Every thread needs memory, and no CPU has so many cores."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,14 +102,15 @@ class LaunchSettings:
     graphics_device_id: int = setting(0, minimum=-1)
 
     full_experiment_name: str | None = setting(None, blank=True)
-    """Exact name of the run folder. +full_experiment_name= adds the key to cfg/config.yaml's."""
+    """Exact name of the run folder. cfg/config.yaml lacks this key; `+full_experiment_name=` adds
+    it."""
     pbt_restart: bool = setting(False)
     """Set by population based training when it restarts a process."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _EnvSize:
-    """The one key of task.env that every task has."""
+    """The key of task.env that every task has."""
 
     num_envs: int = setting(key="numEnvs", minimum=1, maximum=2**24)
 
@@ -119,7 +120,7 @@ class CheckedConfig:
     """A composed tree that has been checked.
 
     Attributes:
-        settings: the root's own keys.
+        settings: the keys at the root of the tree.
         tree: the tree with its interpolations resolved.
         cfg: the tree as Hydra composed it.
     """
@@ -129,7 +130,7 @@ class CheckedConfig:
     cfg: DictConfig
 
     def changed(self, values: Mapping[str, Any]) -> CheckedConfig:
-        """Return a checked configuration with other values, which are given by their paths."""
+        """Return a checked copy of the configuration; `values` maps paths of keys to new values."""
         cfg = self.cfg.copy()
         with open_dict(cfg):
             for path, value in values.items():
@@ -143,7 +144,7 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
 
 
 def read_config(cfg: DictConfig) -> CheckedConfig:
-    """Check a composed tree before anything heavy is imported or made.
+    """Check a composed tree before large packages are imported and before a task is made.
 
     The check covers the root's keys, the devices, the names of runs and the interpolations. It
     imports torch only if a device may be a GPU, after everything else has been checked.
@@ -198,7 +199,7 @@ def resolve_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) ->
 
 
 def _check_combinations(settings: LaunchSettings) -> None:
-    """Refuse settings that contradict each other, or need a package that is missing."""
+    """Refuse settings that contradict each other or that need a missing package."""
     if settings.multi_gpu and settings.test:
         raise ConfigError("multi_gpu=True trains in several processes; to play leave it out")
     if settings.wandb_activate:
@@ -218,7 +219,8 @@ def _check_combinations(settings: LaunchSettings) -> None:
 # --- devices ------------------------------------------------------------------------------------
 
 _DEVICE = re.compile(r"cpu|cuda(?::(?P<index>\d+))?")
-# Settings whose fallback to the CPU has been logged; None if a missing GPU is an error.
+# The settings for which the use of the CPU has been logged. None means that a missing GPU is an
+# error.
 _fallback_keys: set[str] | None = None
 
 
@@ -232,7 +234,7 @@ def allow_cpu_fallback(allowed: bool = True) -> None:
 
 
 def check_device_name(name: str, key: str) -> int | None:
-    """Return the index of the GPU that a setting names, None for the CPU.
+    """Return the index of the GPU that a setting names, or None if it names the CPU.
 
     Raises:
         DeviceError: the name is misspelt.
@@ -244,7 +246,7 @@ def check_device_name(name: str, key: str) -> int | None:
 
 
 def check_device(name: str, key: str) -> str:
-    """Return the device that a setting names; the CPU for a missing GPU if that is allowed.
+    """Return the device that a setting names, or the CPU if the GPU is missing and that is allowed.
 
     Raises:
         DeviceError: the name is misspelt, or torch does not see this GPU.

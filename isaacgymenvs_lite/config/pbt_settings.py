@@ -18,7 +18,7 @@ MUTATIONS = (
 )
 """Names of the functions in `pbt.mutation`."""
 
-_MAX_POLICIES = 1000  # folders of the workspace have three digits
+_MAX_POLICIES = 1000  # the workspace's folders have names of three digits
 _MISSPELT_RATIO = 0.85
 
 
@@ -48,7 +48,7 @@ class PBTSettings:
 
 
 def read_pbt_settings(tree: Mapping[str, Any]) -> PBTSettings | None:
-    """Return the section `pbt` of a resolved tree; None if PBT is off."""
+    """Return the section `pbt` of a resolved tree, or None if PBT is off."""
     settings = read_section(PBTSettings, tree.get("pbt"), "pbt", complete=True)
     if not settings.enabled:
         return None
@@ -77,10 +77,10 @@ def read_pbt_settings(tree: Mapping[str, Any]) -> PBTSettings | None:
 
 
 def mutable_values(tree: Mapping[str, Any], settings: PBTSettings) -> dict[str, float]:
-    """Return the settings that `pbt.mutation` names, by their paths.
+    """Return a dictionary from the paths in `pbt.mutation` to the values of these settings.
 
-    A setting that is null or missing is left out, because published files name settings that
-    not every train file has.
+    The result lacks settings that are null or missing, because published files name settings that
+    some train files lack.
     """
     values: dict[str, float] = {}
     for path in settings.mutation:

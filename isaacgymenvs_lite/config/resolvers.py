@@ -1,11 +1,11 @@
 """Registers the interpolation functions of IsaacGymEnvs' YAML files.
 
-- `${eq:a,b}`: whether two texts are equal, ignoring case
+- `${eq:a,b}`: whether the texts a and b are equal, ignoring case
 - `${contains:a,b}`: whether a is part of b, ignoring case
-- `${if:p,a,b}`: a if p is true in Python's sense, else b; the text "False" is true
+- `${if:p,a,b}`: a if Python regards p as true, else b; the text "False" counts as true
 - `${resolve_default:d,x}`: d if x is '', else x
 - `${default_rl_device:}`: cuda:0 if torch sees a GPU, else cpu (not in IsaacGymEnvs)
-- `${default_seed:}`: the train file's seed, else 42 (not in IsaacGymEnvs)
+- `${default_seed:}`: the seed in the train file, or 42 without it (not in IsaacGymEnvs)
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-_DEFAULT_SEED = 42  # as IsaacGymEnvs
+_DEFAULT_SEED = 42  # as in IsaacGymEnvs
 # Matches a $ with the path or the function's name that follows it.
 _INTERPOLATION = re.compile(r"\$(?:\{\s*([\w.\[\]-]*)\s*([:}]))?")
 
 
 def choose(predicate: Any, if_true: Any, if_false: Any) -> Any:
-    """Return `if_true` for a true `predicate`: '' is false, any other text is true."""
+    """Return `if_true` if `predicate` is true, else `if_false`; every text but '' is true."""
     chosen = if_true if predicate else if_false
     # OmegaConf.resolve (`--cfg job --resolve`) refuses plain lists as results.
     return OmegaConf.create(chosen) if isinstance(chosen, list | dict) else chosen
@@ -35,13 +35,13 @@ def resolve_default(default: Any, given: Any) -> Any:
 
 def default_rl_device() -> str:
     """Return "cuda:0" if torch sees a GPU, else "cpu"."""
-    import torch  # imported here, because a misspelt key should not cost this second
+    import torch  # takes a second, which a misspelt key need not cost
 
     return "cuda:0" if torch.cuda.is_available() else "cpu"
 
 
 def default_seed(*, _root_: DictConfig) -> Any:
-    """Return the train file's seed if it is a plain value, not an interpolation, else 42."""
+    """Return the seed in the train file, or 42 if the seed is missing or an interpolation."""
     params = OmegaConf.select(_root_, "train.params")
     if not isinstance(params, DictConfig) or OmegaConf.is_interpolation(params, "seed"):
         return _DEFAULT_SEED
@@ -57,7 +57,7 @@ RESOLVERS: dict[str, Callable[..., Any]] = {
     "default_rl_device": default_rl_device,
     "default_seed": default_seed,
 }
-"""The functions by name. They read the configuration alone, so that any file may use them."""
+"""Maps names to functions that read only the configuration, so that any file may use them."""
 
 
 def register_resolvers() -> None:
@@ -67,7 +67,7 @@ def register_resolvers() -> None:
 
 
 def register_for(script: str) -> None:
-    """Register the functions for a script, except those that its text registers itself.
+    """Register the functions of this module, except those that the text of a script registers.
 
     OmegaConf refuses the second registration of a name.
     """
@@ -78,7 +78,7 @@ def register_for(script: str) -> None:
 
 
 def forbidden_resolver(text: str) -> str | None:
-    """Return the part of a text that leads out of the configuration, None if there is none.
+    """Return the first interpolation in a text that reads more than the configuration, or None.
 
     A resolver of another package may run code or read the environment. A nested interpolation and
     a single $ are also refused, because resolving the text could turn them into calls of resolvers.

@@ -38,7 +38,7 @@ class RunSettings:
     save_best_after: int = setting(100, minimum=0)
     save_frequency: int = setting(0, minimum=0)
     keep_checkpoints: int = setting(0, minimum=0)
-    """Number of save_frequency's checkpoints that are kept; 0 keeps all."""
+    """How many checkpoints written at `save_frequency` are kept; 0 keeps all."""
     save_buffers: bool = setting(True)
     """Whether checkpoints include the replay buffers, for resume=."""
     imitation_frequency: int = setting(50, minimum=0)
@@ -50,11 +50,11 @@ class RunSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class PPOSettings(RunSettings):
-    """The keys that every agent of the PPO family reads; rl_games requires the required ones."""
+    """The keys that every agent of the PPO family reads; rl_games needs those without a default."""
 
     use_diagnostics: bool = setting(False)
     mixed_precision: Any = setting(False, choices=(True, False, "auto"))
-    """Whether to use bfloat16; auto measures whether it is faster on this CPU."""
+    """Whether to use bfloat16; auto measures whether bfloat16 is faster on this CPU."""
     torch_compile: Any = setting(None)
     """True, False, a mode of torch.compile, or {mode, critic_mode}."""
 
@@ -86,13 +86,13 @@ class PPOSettings(RunSettings):
     normalize_rms_advantage: bool = setting(False, choices=(False,))
     """True fails in rl_games 1.6.5."""
     use_action_masks: bool = setting(False, choices=(False,))
-    """Only discrete actions have masks."""
+    """Masks exist only for discrete actions."""
     clip_actions: bool = setting(True)
 
     # Optimiser
     learning_rate: float = setting(above=0)
     lr_schedule: str | None = setting()
-    """adaptive or linear; any other text means constant."""
+    """`adaptive` or `linear`; any other text keeps the learning rate constant."""
     schedule_type: str = setting("legacy", choices=("legacy", "standard", "standard_epoch"))
     kl_threshold: float | None = setting(None, above=0)
     """Required by the adaptive schedule."""
@@ -104,7 +104,7 @@ class PPOSettings(RunSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class CentralValueSettings:
-    """The section central_value_config: an asymmetric critic with an optimiser of its own."""
+    """The section central_value_config: an asymmetric critic with a separate optimiser."""
 
     network: dict[str, Any] = setting()
     minibatch_size: int | None = setting(None, minimum=1)
@@ -138,13 +138,13 @@ class RewardShaperSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class PlayerSettings:
-    """The keys of the section player that have an effect."""
+    """Those keys of the section player that have an effect."""
 
     games_num: int = setting(32, minimum=1)
     """Episodes."""
     deterministic: bool = setting(True)
     n_game_life: int = setting(1, choices=(1,))
-    """Lives in a game; the tasks have one."""
+    """Number of lives in a game; a game of this project's tasks has one life."""
     record: str | None = setting(None)
     """File for a recording of environment 0."""
     latent: str | None = setting(None)
@@ -157,8 +157,9 @@ UNREAD_KEYS = frozenset(
         *("summaries_interval_sec_max", "summaries_interval_sec_min", "use_others_experience"),
     )
 )
-# rl_games reads some of these keys in special set-ups, and the launcher writes some. The others are
-# former names, which are translated before the check.
+# Allowed keys in addition to the dataclasses. rl_games reads some of these keys in special set-ups,
+# and the launcher writes some. The remaining keys are former names, which are translated before the
+# check.
 OTHER_KEYS = UNREAD_KEYS | frozenset(
     (
         *("actor_betas", "adv_rms_momentum", "alphas_betas", "bound_loss_type", "bptt_length"),
@@ -176,7 +177,7 @@ OTHER_KEYS = UNREAD_KEYS | frozenset(
 
 @dataclass(frozen=True, kw_only=True)
 class SACSettings(RunSettings):
-    """The keys that rl_games' SAC agent reads; it requires the required ones."""
+    """The keys that rl_games' SAC agent reads; it needs those without a default."""
 
     save_best_after: int = setting(500, minimum=0)
 
@@ -188,7 +189,7 @@ class SACSettings(RunSettings):
     num_warmup_steps: int = setting(1000, minimum=0)
     """Epochs of random actions."""
     num_warmup_frames: int | None = setting(None, minimum=0)
-    """Frames of random actions; it replaces num_warmup_steps."""
+    """Frames of random actions; this key replaces num_warmup_steps."""
     replay_buffer_size: int = setting(minimum=1)
     batch_size: int = setting(minimum=1)
 
@@ -215,14 +216,15 @@ class SACSettings(RunSettings):
     critic_grad_clip: float = setting(5.0, minimum=0)
     """0 for none."""
     mixed_precision: Any = setting(False, choices=(True, False, "auto"))
-    """Whether to use bfloat16, on a CPU only in the hidden layers; auto measures what is faster."""
+    """Whether to use bfloat16 (on a CPU: in the hidden layers); auto measures what is faster."""
 
 
 # rl_games' network builder registers these names.
 ACTIVATIONS = ("relu", "tanh", "sigmoid", "elu", "selu", "swish", "gelu", "softplus", "None")
 
 
-# Maps each initialiser to its arguments. `default` has arguments in published files but reads none.
+# Maps each initialiser to its arguments. `default` ignores the arguments that it has in published
+# files.
 INITIALIZERS: dict[str, tuple[str, ...] | None] = {
     "default": None,
     "const_initializer": ("val",),
@@ -234,11 +236,11 @@ INITIALIZERS: dict[str, tuple[str, ...] | None] = {
     "random_uniform_initializer": ("a", "b"),
     "kaiming_normal": ("a", "mode", "nonlinearity"),
 }
-# Initialisers of a fixed sigma, which is a vector; the others need matrices.
+# Initialisers of a fixed sigma, which is a vector. All other initialisers need matrices.
 _VECTOR_INITIALIZERS = ("default", "const_initializer", "random_uniform_initializer")
 
 
-# These networks have a section `mlp`; a fork's own networks may have any keys.
+# These networks have a section `mlp`; the networks that a fork has registered may have any keys.
 _MLP_NETWORKS = frozenset(("actor_critic", "amp", "gen_amp", "ase", "hrl"))
 _SAC_NETWORK = "soft_actor_critic"
 _LATENT_NETWORKS = ("gen_amp", "ase")
@@ -255,7 +257,7 @@ class UnitsSettings:
 
     units: list[int] = setting(minimum=1, maximum=_MAX_UNITS)
     model_size_multiplier: float = setting(1, above=0, maximum=1000)
-    """Factor on all units."""
+    """Factor by which all units are multiplied."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,9 +270,9 @@ class LayerSettings(UnitsSettings):
     d2rl: bool = setting(False)
     norm_only_first_layer: bool = setting(False)
     separate: bool = setting(False)
-    """Whether the encoder has layers of its own instead of the discriminator's."""
+    """Whether the encoder has separate layers instead of those of the discriminator."""
     conditional: bool = setting(False)
-    """Whether the latent is an input of the discriminator, too."""
+    """Whether the discriminator also receives the latent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -295,7 +297,7 @@ class RecurrentSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkSettings:
-    """The network section's own keys."""
+    """The keys at the top of the network section."""
 
     separate: bool = setting(False)
     """Whether actor and critic have separate layers."""
@@ -327,7 +329,7 @@ _SECTIONS: dict[str, type[Any]] = {
 
 
 def check_network(network: dict[str, Any], where: str, *, is_critic: bool = False) -> None:
-    """Check names, units and keys of a network section at a path; convert numbers in place.
+    """Check names, units and keys of the network section at path `where`; convert its numbers.
 
     Raises:
         ConfigError: a key is missing or misspelt, or a value is not among the choices.
@@ -371,7 +373,7 @@ def check_network(network: dict[str, Any], where: str, *, is_critic: bool = Fals
 
 
 def scale_units(network: dict[str, Any]) -> None:
-    """Multiply the mlp's units by its model_size_multiplier, in place."""
+    """Multiply the units of the section mlp by its model_size_multiplier, in place."""
     mlp = network.get("mlp")
     factor = mlp.get("model_size_multiplier", 1) if isinstance(mlp, dict) else 1
     if isinstance(mlp, dict) and factor != 1:
@@ -384,7 +386,7 @@ def check_central_value(section: dict[str, Any], where: str) -> None:
     network = convert_section(CentralValueSettings, section, where, None).network
     if "name" not in network:
         raise missing_key("name", network, (), f"{where}.network", "expected actor_critic")
-    # Without the key rl_games' network would return an actor's output.
+    # Without the key `central_value` rl_games' network returns the output of an actor.
     if section["network"].setdefault("central_value", True) is not True:
         raise ConfigError(f"{where}.network.central_value: expected True; remove the key")
     check_network(network, f"{where}.network", is_critic=True)
@@ -393,7 +395,7 @@ def check_central_value(section: dict[str, Any], where: str) -> None:
 def _check_initializer(
     initializer: dict[str, Any], where: str, choices: Collection[str] = tuple(INITIALIZERS)
 ) -> None:
-    """Check name and arguments of an initialiser; rl_games passes them on to torch."""
+    """Check the name of an initialiser and its arguments, which rl_games passes on to torch."""
     if "name" not in initializer:
         raise ConfigError(f"{where}: the key 'name' is missing; choices: {', '.join(choices)}")
     name = str(initializer["name"])

@@ -1,4 +1,4 @@
-"""Reads the name of a run, which names its folder below `runs/` and its checkpoints."""
+"""Reads the name of a run, from which its folder below `runs/` and its checkpoints are named."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def run_name_of(tree: dict[str, Any]) -> PurePosixPath:
 
 
 def read_run_name(given: Any, key: str) -> PurePosixPath:
-    """Return a run's name as a path below the folder of all runs; its last part names checkpoints.
+    """Return a run's name as a relative path; the last component of the path names checkpoints.
 
     Args:
         given: a name such as `walk1` or `amp/walk1`.

@@ -40,7 +40,7 @@ ROOT = "config"
 GROUPS = ("task", "train", "pbt")
 REFUSED = "refused"
 CHECKOUT_KEY = "task_checkout"
-"""Root key for the folder of the task file's checkout; '' for none."""
+"""Root key for the folder of the task file's checkout. The value '' means no folder."""
 _NAMED_BY_PATH = ("task", "train")
 _SUFFIXES = (".yaml", ".yml")
 _WHERE_TO = "it belongs on the command line, or into cfg/ if you wrote the file yourself"
@@ -48,12 +48,14 @@ _WHERE_TO = "it belongs on the command line, or into cfg/ if you wrote the file 
 _HARMLESS = {"output_subdir": None, "run": {"dir": "."}, "job": {"chdir": False}}
 _LOGGING = ("override hydra/job_logging", "override hydra/hydra_logging")
 _PACKAGE = re.compile(r"(?:\s*#.*\n)*?\s*#\s*@package\s+(.*)")
-# A file's name with the folders below its group; it may contain another group's choice: ${task}.
+# A file's name with the folders below its group. The name may contain the choice of another group:
+# ${task}.
 _ENTRY = re.compile(r"(?:[\w.+-]|\$\{\w+\})+(?:/(?:[\w.+-]|\$\{\w+\})+)*")
 
-# A project's top folder has at least one of these entries, a package inside it has none.
+# The top folder of a project has at least one of these entries; a package inside the folder has
+# none.
 _TOP_OF_A_PROJECT = (".git", "setup.py", "pyproject.toml", "assets")
-# ASE's command line named the task. This table maps the end of a file's name to our task.
+# ASE's task files lack the task's name, so this table maps the end of a file's name to our task.
 _TASKS_OF_ASE = {
     "heading": "HumanoidHeading",
     "location": "HumanoidLocation",
@@ -68,14 +70,14 @@ _TASKS_OF_ASE = {
 
 @dataclass(frozen=True)
 class StagedFiles:
-    """A command line with names in place of paths.
+    """A command line in which names replace the paths of files.
 
     Attributes:
         words: the overrides.
         folder: the folder that Hydra searches first.
-        refused: the error of each refused file, by the file's name in Hydra. The copy of a refused
-            file names a missing file below `REFUSED`, so that only a command line that uses the
-            file fails.
+        refused: maps the name of each refused file in Hydra to its error. The defaults list of its
+            copy contains a file below `REFUSED` that does not exist, so that a command line fails
+            only if it uses the refused file.
     """
 
     words: list[str]
@@ -91,13 +93,14 @@ def staged(
     *,
     trains: bool = True,
 ) -> Iterator[StagedFiles]:
-    """Give a command line that Hydra understands; the copies last as long as the context.
+    """Yield a command line that Hydra understands; the copied files exist until the context ends.
 
     Args:
         words: overrides; `task=` and `train=` may name files by their paths.
         config_dir: a folder with more task/, train/, pbt/ and root files.
-        root: a folder that replaces cfg/; files that it lacks come from cfg/.
-        trains: whether a training may write into the folder that the files name.
+        root: a folder that replaces cfg/; files that the folder lacks come from cfg/.
+        trains: whether the command line may start a training, which writes into the folder that the
+            files name.
 
     Raises:
         ConfigError: a file does not exist, or has content that is refused from outside.
@@ -131,7 +134,7 @@ def staged(
 def read_yaml(path: Path) -> DictConfig:
     """Read one YAML file without its defaults list.
 
-    The last value counts if a key occurs twice, as in the PyYAML of ASE.
+    If a key occurs twice, the last value counts, as in PyYAML, which ASE uses.
     """
     content = _read(path)
     if is_foreign(path):
@@ -144,7 +147,7 @@ def read_yaml(path: Path) -> DictConfig:
 
 
 def is_foreign(path: Path) -> bool:
-    """Return whether a file lies outside of the project's own cfg/."""
+    """Return whether a file lies outside of this project's folder cfg/."""
     return not Path(os.path.abspath(path)).is_relative_to(cfg_dir())
 
 
@@ -158,7 +161,7 @@ def _stage_folder(source: Path, target: Path) -> dict[str, ConfigError]:
             f"the configuration folder '{source}' does not exist; expected a folder that holds"
             " task/ and train/"
         )
-    ours = _our_root()  # our section `hydra` replaces theirs
+    ours = _our_root()  # its section `hydra` replaces that of other root files
     logs = [entry for entry in ours["defaults"] if _is_about_logging(entry)]
     for file in source.glob("*.yaml"):
         content = _checked(file, group="")
@@ -179,7 +182,7 @@ def _stage_folder(source: Path, target: Path) -> dict[str, ConfigError]:
 
 
 def _stage_named_files(words: Sequence[str], target: Path) -> list[str]:
-    """Copy the files that `task=` and `train=` name by their paths; return the words with names."""
+    """Copy the files whose paths `task=` and `train=` give; return overrides with their names."""
     typed = {word.partition("=")[0] for word in words}
     staged_words = []
 
@@ -207,12 +210,12 @@ def _stage_named_files(words: Sequence[str], target: Path) -> list[str]:
 
 
 def _stage_with_siblings(file: Path, group: str, target: Path, done: set[Path]) -> None:
-    """Copy a file, and the files of its folder that its defaults list names."""
+    """Copy a file, and those files of its folder that its defaults list names."""
     done.add(file)
     content = _checked(file, group)
     _write(content, target)
     for entry in content.get("defaults") or []:
-        if isinstance(entry, dict):  # {env: fast} is env/fast.yaml; env=slow may be typed
+        if isinstance(entry, dict):  # {env: fast} is env/fast.yaml; the user may give env=slow
             folder = str(next(iter(entry))).removeprefix("optional ")
             siblings = list(file.parent.glob(f"{folder}/*.yaml"))
         else:
@@ -264,7 +267,7 @@ def _write(content: dict[Any, Any], file: Path) -> None:
 
 
 def _checked(file: Path, group: str) -> dict[Any, Any]:
-    """Return the checked content of a file of a group; the group of a root file is ''."""
+    """Return the checked content of a file that belongs to `group`, or to the root ('')."""
     content = _read(file)
     header = _PACKAGE.match(file.read_text(encoding="utf-8-sig"))
     own = group.replace("/", ".")
@@ -283,7 +286,8 @@ def _checked(file: Path, group: str) -> dict[Any, Any]:
     defaults = content.get("defaults") or []
     for entry in defaults if isinstance(defaults, list) else [defaults]:
         _check_entry(entry, file, is_root=not own)
-    # Published files leave these values to the command line or to the code of their project.
+    # Published files lack these values, which their command line or the code of their project
+    # gives.
     config = select(content, "params.config")
     if isinstance(config, dict) and "llc_config" in config and "defaults" not in content:
         config.setdefault("llc_checkpoint", "")
@@ -376,7 +380,7 @@ def _is_about_logging(entry: Any) -> bool:
 
 
 def checkout_of(task_file: Path) -> Path:
-    """Return the checkout of a task file, which is given by its absolute path."""
+    """Return the checkout of the task file at an absolute path."""
     folder = task_file.parent
     if _is_in_ase(task_file):
         return folder.parents[2]
@@ -391,13 +395,13 @@ def checkout_of(task_file: Path) -> Path:
 
 
 def _train_file_beside(task_file: Path) -> Path | None:
-    """Return `../train/<task>PPO.yaml` of a task file, None if there is no such file."""
+    """Return the file `../train/<task>PPO.yaml` relative to a task file, or None without it."""
     beside = task_file.parent.with_name("train") / f"{task_file.stem}PPO.yaml"
     return beside if task_file.parent.name == "task" and beside.is_file() else None
 
 
 def _task_of_ase_file(task_file: Path) -> str | None:
-    """Return our task for a task file of ASE, None for any other file."""
+    """Return our task if the file is a task file of ASE, otherwise None."""
     if not _is_in_ase(task_file):
         return None
     return next(task for end, task in _TASKS_OF_ASE.items() if task_file.stem.endswith(end))
@@ -406,7 +410,7 @@ def _task_of_ase_file(task_file: Path) -> str | None:
 def clip_folders(checkout: Path, name: str) -> list[Path]:
     """Return the folders of a checkout that may contain a clip or dataset of this name.
 
-    There are none for a name that leads upwards (`../..`).
+    The list is empty if the name leads upwards (`../..`).
     """
     if ".." in Path(name).parts:
         return []
@@ -417,8 +421,9 @@ def clip_folders(checkout: Path, name: str) -> list[Path]:
 def model_folders(checkout: Path, root: str) -> list[Path]:
     """Return the folders of a checkout that may contain a model.
 
-    `root` is the `assetRoot` of the task file, '' for none. It is relative to the folder of the
-    tasks in IsaacGymEnvs (`../../assets`) and to the checkout in ASE (`ase/data/assets`).
+    `root` is the `assetRoot` of the task file, or '' without one. In IsaacGymEnvs the `assetRoot`
+    is relative to the folder of the tasks (`../../assets`), in ASE to the checkout
+    (`ase/data/assets`).
     """
     parts = [part for part in Path(root).parts if part != ".."]
     named = [checkout.joinpath(*parts)] if parts and not Path(root).is_absolute() else []

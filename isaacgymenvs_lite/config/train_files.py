@@ -29,8 +29,8 @@ def load_train_file(
 
     Args:
         path: see `read_train_file`.
-        num_envs: value of `task.env.numEnvs`, to which minibatches are fitted. None means 1
-            environment and leaves the minibatches as they are written.
+        num_envs: value of `task.env.numEnvs`, to which minibatches are fitted. If it is None, the
+            task has 1 environment and the minibatches keep the sizes in the file.
         rl_device: device of agent and player.
 
     Raises:
@@ -43,7 +43,8 @@ def load_train_file(
     config = params.get("config")
     if not isinstance(config, dict):
         return content
-    config["device"] = config["device_name"] = rl_device  # agents read one, players the other
+    # Agents read `device`, players read `device_name`.
+    config["device"] = config["device_name"] = rl_device
     config.setdefault("reward_shaper", {})
     if params.get("seed") == -1:
         params["seed"] = resolve_seed(-1)

@@ -35,17 +35,17 @@ _log = logging.getLogger(__name__)
 
 _WHERE = "train.params"
 _CONFIG = f"{_WHERE}.config"
-# Isaac Lab's train files have the wrapper's limits in this section; we have them in task.env.
+# Isaac Lab's train files have the limits of its wrapper in this section; here task.env has them.
 _ISAAC_LAB_SECTION = "env"
 _LIMITS = {"clip_observations": "clipObservations", "clip_actions": "clipActions"}
 ISAAC_LAB_ACTIONS = f"{_WHERE}.{_ISAAC_LAB_SECTION}.clip_actions"
-"""Path of the limit of actions, which is 1 without this key."""
+"""Path of the key for the limit of actions; without the key the limit is 1."""
 _PARAMS_KEYS = (
     *("seed", "algo", "model", "network", "config", "load_checkpoint", "load_path"),
     *("torch_threads", _ISAAC_LAB_SECTION),
 )
-# Maps each algorithm to the registered models and networks that it runs with, the usual name first.
-# Names that a fork has registered are not checked.
+# Maps each algorithm to the registered models and networks with which it runs; the usual name is
+# the first. Names that a fork has registered are not checked.
 _AMP = (("continuous_amp", "amp"), ("amp",))
 _HRL = (("hrl", "continuous_hrl"), ("hrl",))
 _GOES_WITH: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -64,12 +64,12 @@ _GOES_WITH: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("resnet_actor_critic", "rnd_curiosity", "testnet", "testnet_aux_loss"),
     ),
 }
-_MAX_SAMPLES = 2**31 - 1  # of an epoch
+_MAX_SAMPLES = 2**31 - 1  # largest number of samples in an epoch
 
 
 @dataclass(frozen=True)
 class KnownNames:
-    """Names that are registered with rl_games, and the agents' keys in addition to PPO's.
+    """Names that are registered with rl_games, and keys of the agents in addition to those of PPO.
 
     An empty collection allows all names.
     """
@@ -102,9 +102,10 @@ def prepare_train_params(
         num_envs: environments of the task.
         seed: the resolved seed, see `resolve_seed`.
         run_name: exact name of the run folder; None lets rl_games add a time stamp to the name.
-        rl_device: device of the agent; None means the tree's.
+        rl_device: device of the agent; None means `rl_device` of the tree.
         num_agents: agents in each environment.
-        num_states: dimension of the task's privileged observation; None if it is unknown.
+        num_states: dimension of the task's privileged observation, or None if the dimension is
+            unknown.
         names: registered names; None allows all names.
 
     Raises:
@@ -124,7 +125,7 @@ def prepare_train_params(
     for key, launch_key in (("max_epochs", "max_iterations"), ("name", "experiment")):
         if (given := tree.get(launch_key)) not in ("", None):
             config[key] = given
-    if "name" in config:  # the checkpoints are named after its last part
+    if "name" in config:  # the last part of this name names the checkpoints
         config["name"] = read_run_name(config["name"], f"{_CONFIG}.name").name
     if config.get("multi_gpu") and not tree.get("multi_gpu"):
         raise ConfigError(
@@ -221,7 +222,7 @@ def complete_ppo(
         params: the section `params` of a train file.
         num_envs: environments of the task.
         num_agents: agents in each environment.
-        agent_keys: keys that the agents read in addition; None allows all other keys.
+        agent_keys: additional keys that the agents read; None allows all other keys.
     """
     config = params["config"]
     critic = config.get("central_value_config") or {}
@@ -231,7 +232,7 @@ def complete_ppo(
         if any(has_rnn):
             _log.warning("seq_len is called seq_length now: using %s", config["seq_length"])
     if not any(has_rnn):
-        # rl_games requires that seq_length divides the batch, also without a recurrent network.
+        # rl_games requires that seq_length divides the batch, even if the network is not recurrent.
         config["seq_length"] = 1
     if config.get("schedule_type") == "per_minibatch":  # rl_games 2's name
         config["schedule_type"] = "legacy"
@@ -259,7 +260,7 @@ def _fit_minibatches(
     policy_has_rnn: bool,
     critic_has_rnn: bool,
 ) -> None:
-    """Make minibatch sizes divide the samples of an epoch, in place; log each change.
+    """Change minibatch sizes, in place, so that they divide the epoch's samples; log each change.
 
     A minibatch of a recurrent network consists of whole sequences.
     """
@@ -276,7 +277,7 @@ def _fit_minibatches(
             f"{_CONFIG}.horizon_length={horizon} with num_envs={num_envs}: an epoch has"
             f" {batch:g} samples, expected at most {_MAX_SAMPLES}; lower one of the two"
         )
-    # The central critic has one sample per environment, also if several agents share it.
+    # The central critic has one sample per environment, even if an environment has several agents.
     fitted = [("", config, batch, policy_has_rnn)]
     if isinstance(critic := config.get("central_value_config"), dict):
         fitted.append(("central_value_config.", critic, num_envs * horizon, critic_has_rnn))
@@ -319,9 +320,9 @@ def fit_minibatch(batch_size: int, minibatch_size: int, multiple_of: int = 1) ->
 
 
 def apply_wrapper_limits(tree: dict[str, Any]) -> None:
-    """Copy the limits of `train.params.env` into the task section, in place.
+    """Copy the limits in `train.params.env` into the task section of `tree`.
 
-    rl_games scales actions to the same limit, see `make_from_config`.
+    rl_games scales actions to the copied limit, see `make_from_config`.
     """
     for key, task_key in _LIMITS.items():
         path = f"{_WHERE}.{_ISAAC_LAB_SECTION}.{key}"
@@ -334,7 +335,7 @@ def apply_wrapper_limits(tree: dict[str, Any]) -> None:
 
 
 def checkpoint_in_file(tree: Mapping[str, Any]) -> str:
-    """Return the checkpoint that the train file names, '' for none.
+    """Return the checkpoint that the train file names, or '' if it names none.
 
     IsaacGymEnvs' files interpolate `checkpoint=`; other files have `load_checkpoint: True` and a
     path. The first versions of rl_games read both keys, version 1.6.5 reads neither.
@@ -358,7 +359,7 @@ def check_env_name(params: Mapping[str, Any]) -> None:
 
 
 def player_class_note(player: Mapping[str, Any]) -> str:
-    """Return a line about a train file's player class, which nothing reads; '' without one."""
+    """Return a note that a train file's player class has no effect, or '' if it names no class."""
     if "class_name" not in player:
         return ""
     return (
@@ -371,10 +372,10 @@ def torch_compile_setting(setting: Any, device: str, can_compile: bool) -> Any:
     """Return the value of `torch_compile` for rl_games' Runner, which compiles by default.
 
     Agents call this function in their constructors and store the result in the dictionary that the
-    Runner reads afterwards. It therefore also works in a user's own Runner.
+    Runner reads afterwards. The function therefore also works in a user's Runner.
 
     Args:
-        setting: the value of `train.params.config.torch_compile`, None without it.
+        setting: the value of `train.params.config.torch_compile`, or None if the key is missing.
         device: device of the agent.
         can_compile: False for agents that differentiate twice (gradient penalties).
     """
