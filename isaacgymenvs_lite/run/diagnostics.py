@@ -1,7 +1,7 @@
 """Warns when a training with a discriminator goes wrong in a known way, and proposes a change.
 
 `docs/reading_a_run.md` lists the five warnings. The limits are far from the values of good
-trainings, because a false alarm costs more than a late alarm.
+trainings, because a false alarm does more harm than a late alarm.
 """
 
 from __future__ import annotations
@@ -23,32 +23,37 @@ from isaacgymenvs_lite.run.metrics import EpochMetrics, MetricsObserver
 
 log = logging.getLogger(__name__)
 
-# A fault must last for this window; the discriminator always wins the first 0.5 M frames.
+# A warning needs a fault that lasts for so many frames. The discriminator always wins during the
+# first 0.5 M frames.
 WINDOW_FRAMES, WINDOW_EPOCHS = 3_000_000, 100
 CHECK_EPOCHS = 10
 REPEAT_S = 30 * 60.0
 LAST_MEASUREMENTS = 3
 
 MOSTLY_FALLS, NEARLY_ALL_FALL = 0.5, 0.9
-# Episodes get longer by a third and more in a window while a policy learns to stand. Measurements
-# of equally good policies differ by about 2%.
+# Relative gain that counts as learning. While a policy learns to stand, its episodes get longer by
+# a third and more in `WINDOW_FRAMES`. Measurements of equally good policies differ by about 2%.
 MIN_GROWTH, MIN_IMPROVEMENT = 1.1, 0.02
-# Share of the reward's scale. Bad policies that still learned had 0.07 and more.
+# Style reward, as a share of its scale, below which it has vanished. Bad policies that still
+# learned had a share of 0.07 and more.
 NO_REWARD = 0.02
 BAD_POSE_ERROR_M = 0.1
 # `motion_shown` is at most 0.1 for a standing policy and was 0.16 to 0.24 for policies that stood
-# between attempts. It was 0.4 and more for policies that still learned to move and seldom fell.
+# between attempts. For policies that still learned to move and seldom fell, `motion_shown` was 0.4
+# and more.
 STANDING_SHOWN = 0.3
 # A clip with a smaller spread counts as still; walk and run have 0.07 to 0.11 m.
 MIN_CLIP_SPREAD_M = 0.02
 # The keys of task.env that end episodes which leave their clip, with the proposed values.
 CLIP_LIMITS = {"clipDeviation": 0.34, "clipTravel": 0.5, "clipTempo": 0.3}
 # The tempo was 1.55 to 1.9 for quick, short steps and 1.0 to 1.4 for slow clips that were learned
-# well. It was 0.02 to 0.35, with all of the motion shown, if no pose of the clip fits the steps.
+# well. If no pose of the clip fits the steps, the tempo was 0.02 to 0.35 although `motion_shown`
+# was 1.
 HASTY_TEMPO, LOST_TEMPO, MOVES_SHOWN = 1.5, 0.4, 0.8
-# Multiple of the best pose error. Good trainings had at most 1.25, a policy that lost its walk 2.1.
+# Multiple of the best pose error that counts as worse. Good trainings had at most 1.25; a policy
+# that forgot how to walk had 2.1.
 WORSE_POSE_ERROR = 1.5
-# After these frames policies that learned had longer episodes, or their episodes grew.
+# After so many frames, the episodes of policies that learned were longer or were getting longer.
 FALL_FRAMES, SHORT_SHARE = 6_000_000, 0.3
 
 
@@ -63,7 +68,7 @@ class Measurement:
         clip_spread_m: see `measurement.clip_spread_m`; about 0 for a clip without motion.
         motion_shown: 0 to 1.
         tempo: multiple of the clip's tempo.
-        fall_moment: the moment of the clip at which most falls begin.
+        fall_moment: the time in the clip at which most falls begin.
     """
 
     frame: int
@@ -94,11 +99,11 @@ class Measurement:
 class DiagnosticsObserver(AlgoObserver):
     """Logs the warnings and writes them to TensorBoard as the text `advice`.
 
-    It must come after the observers `metrics` and `measurement`.
+    This observer must come after the observers `metrics` and `measurement`.
 
     Args:
         metrics: the epochs' metrics.
-        measurement: the measured pose error, if any.
+        measurement: the observer that measures the pose error, if there is one.
         max_episode_steps: the task's time limit in control steps.
         clip_limits: the keys of `CLIP_LIMITS` that the task sets.
     """
@@ -144,9 +149,9 @@ class DiagnosticsObserver(AlgoObserver):
             self._algo.writer.add_text("advice", warning, frame)
 
     def next_warning(self, epoch: EpochMetrics, now_s: float) -> str | None:
-        """Return the warning after an epoch, or None.
+        """Return the warning to log after an epoch, or None if there is none.
 
-        A warning is repeated after `REPEAT_S`; `now_s` is the time of any clock.
+        The same warning is repeated after `REPEAT_S` seconds; `now_s` is the time of any clock.
         """
         window = self._window
         window.append(epoch)
@@ -276,7 +281,7 @@ class DiagnosticsObserver(AlgoObserver):
     # --- parts of rules --------------------------------------------------------------------
 
     def _last_are(self, is_faulty: Callable[[Measurement], bool]) -> bool:
-        """Return whether the last measurements are of a faulty policy that stays up."""
+        """Return whether each of the last measurements shows a faulty policy that seldom falls."""
         faulty = [one for one in self._measured[-LAST_MEASUREMENTS:] if is_faulty(one)]
         return sum(one.stays_up for one in faulty) == LAST_MEASUREMENTS
 
@@ -294,12 +299,12 @@ class DiagnosticsObserver(AlgoObserver):
         return min(after) < (1.0 - MIN_IMPROVEMENT) * min(before)
 
     def _missing_limits(self, *keys: str) -> str:
-        """Return settings for those `keys` of `CLIP_LIMITS` that the task leaves at 0."""
+        """Return settings for those of the keys of `CLIP_LIMITS` whose value in the task is 0."""
         missing = [key for key in keys if key not in self.clip_limits]
         return " and ".join(f"task.env.{key}={CLIP_LIMITS[key]:g}" for key in missing)
 
     def _clips_are_odd(self) -> str:
-        """Return a clause about motions of the clips that no policy can imitate."""
+        """Return a clause about clip motions that no policy can imitate; '' if there are none."""
         return f"; no policy can imitate the clips: {self.implausible}" if self.implausible else ""
 
     def _turn(self, key: str, factor: float) -> str:

@@ -20,7 +20,7 @@ _MAX_FILES = 20
 class DivergenceFiles:
     """A task's listener that writes at most 20 files `<run>/diverged/0001.npz`, `0002.npz`, ...
 
-    A process with another rank than 0 adds its rank to the names: `0001_rank1.npz`.
+    A process whose rank is not 0 adds the rank to the names: `0001_rank1.npz`.
     """
 
     def __init__(self, task: Any, run_folder: Path, rank: int = 0) -> None:
@@ -49,7 +49,7 @@ class DivergenceFiles:
                 log.warning("a simulation diverged; '%s' shows how", show)
 
     def render(self) -> None:
-        """Nothing to show."""
+        """Do nothing, because this listener shows nothing."""
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing, because this listener holds no resources."""

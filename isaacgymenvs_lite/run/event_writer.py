@@ -1,8 +1,8 @@
 """Writes TensorBoard events without blocking or stopping a training run.
 
 tensorboardX passes events to a thread through a queue of ten. The thread dies if the disk is full;
-then `add_scalar` and the end of the process wait for ever. Here the caller's thread writes whole
-records. A failure is logged once, and the events are kept and written later.
+then `add_scalar` and the end of the process wait for ever. In this module the thread that adds an
+event also writes it. A failure is logged once, and the events are kept and written later.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ SessionLog: Any = event_pb2.SessionLog  # type: ignore[attr-defined]
 # About 20,000 scalars wait for space on a full disk; later scalars are dropped.
 _MAX_WAITING_BYTES = 2**20
 _FLUSH_S = 10.0
-# tensorboardX' event file without scalars is smaller.
+# Largest size of a file of tensorboardX that contains no scalars.
 _HEADER_BYTES = 100
 
 
 class RetryingEventWriter:
-    """Replaces tensorboardX's `EventFileWriter`; restores its folder if somebody removes it."""
+    """Replaces tensorboardX's `EventFileWriter`; restores the log folder if somebody removes it."""
 
     def __init__(self, logdir: str | os.PathLike[str]) -> None:
         self._logdir = Path(logdir)
-        # Readers take the time of the header for the start of the run.
+        # Programs that read the file use the time of this header as the start of the run.
         version = Event(wall_time=time.time(), file_version="brain.Event:2")
         self._header = _record(version)
         self._waiting = bytearray()
@@ -75,7 +75,7 @@ class RetryingEventWriter:
             self._failing = False
 
     def close(self) -> None:
-        """Flush and close the file; may be called twice."""
+        """Flush and close the file; a second call does nothing."""
         self.flush()
         if self._fd is not None:
             with contextlib.suppress(OSError):
@@ -100,7 +100,7 @@ class RetryingEventWriter:
             while written < len(data):
                 written += os.write(self._fd, data[written:])
         except OSError:
-            # Readers would stop at half a record.
+            # Programs that read the file stop at an incomplete record, so it is removed.
             with contextlib.suppress(OSError):
                 os.ftruncate(self._fd, good)
             raise
@@ -110,7 +110,7 @@ class RetryingEventWriter:
 def install(writer: Any) -> None:
     """Make a tensorboardX `SummaryWriter` write through a `RetryingEventWriter`.
 
-    Call it before the first scalar, because the event file of tensorboardX is closed and removed.
+    Call this function before the first scalar, because it closes and removes tensorboardX's file.
     """
     file_writer = writer.file_writer
     old = file_writer.event_writer
@@ -121,12 +121,12 @@ def install(writer: Any) -> None:
         for header in Path(old.get_logdir()).glob("events.out.tfevents.*"):
             if header.stat().st_size <= _HEADER_BYTES:
                 header.unlink()
-    # FileWriter's exit handler closes `event_writer`, and the new one cannot hang.
+    # FileWriter's exit handler closes `event_writer`; closing a RetryingEventWriter cannot hang.
     file_writer.event_writer = RetryingEventWriter(old.get_logdir())
 
 
 def continue_log(writer: Any, frame: int) -> None:
-    """Make readers drop the scalars from `frame` on, because the run goes on at this frame."""
+    """Make TensorBoard drop scalars from `frame` on, because the resumed run writes them again."""
     if hasattr(writer, "file_writer"):  # only the main process has a file
         start = SessionLog(status=SessionLog.START)
         event = Event(wall_time=time.time(), step=frame, session_log=start)

@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 LOCK_FILE = ".lock"
 _CONFIG_FILE = "config.yaml"
-# Some network mounts have no locks and answer with these errors.
+# File systems without locks (some network mounts) answer with these errors.
 _NO_LOCKS = frozenset((errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL))
 _MAX_HOLDER_BYTES = 200
 
@@ -39,13 +39,13 @@ _MAX_HOLDER_BYTES = 200
 class RunFolder:
     """The folder of one training run; no other run writes into it.
 
-    A `with` statement reserves the folder before anything long starts, and removes it if a mistake
-    ends the run at once.
+    A `with` statement reserves the folder before any long computation. If a user's mistake then
+    ends the run, it removes the folder.
 
     Args:
         train_dir: folder of all runs.
-        run_name: name of this run, which rl_games receives, too.
-        is_exact: False adds a number to the name if such a folder exists.
+        run_name: name of this run, which rl_games also receives.
+        is_exact: whether to keep the name if such a folder exists; otherwise a number is added.
 
     Attributes:
         save_failed: whether the last checkpoint could not be written anywhere.
@@ -67,7 +67,7 @@ class RunFolder:
 
     @classmethod
     def at(cls, path: Path, train_dir: Path) -> RunFolder:
-        """Return the folder of a resumed run; the path of a rescued run means the real folder."""
+        """Return the folder of a resumed run, or of the run that was rescued to `path`."""
         root = train_dir.absolute()
         for rescued in _rescue_dirs(root):
             if path.is_relative_to(rescued):
@@ -99,7 +99,7 @@ class RunFolder:
         with self._errors_explained():
             above = list(itertools.takewhile(lambda each: not each.exists(), self.path.parents))
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            for name in _numbered(self.name):  # another run may have taken the name meanwhile
+            for name in _numbered(self.name):  # another run may have made this folder meanwhile
                 with contextlib.suppress(FileExistsError):
                     (self.train_dir / name).mkdir()
                     self.name = name
@@ -126,7 +126,7 @@ class RunFolder:
 
     def _remove_made(self) -> None:
         for folder in self._made:
-            with contextlib.suppress(OSError):  # another run is in it
+            with contextlib.suppress(OSError):  # it contains another run
                 folder.rmdir()
 
     @contextlib.contextmanager
@@ -163,7 +163,7 @@ class RunFolder:
             log.warning("%s could not be updated (%s)", self.path / _CONFIG_FILE, reason)
 
     def make_again(self) -> None:
-        """Restore the folder and config.yaml if somebody removed them since `create`."""
+        """Restore the folder and config.yaml if somebody has removed them after `create`."""
         if self._lock is None:
             return  # a run of another program
         if not self.checkpoints.is_dir():
@@ -200,16 +200,16 @@ class RunFolder:
     # --- finding ---------------------------------------------------------------------------
 
     def files(self, pattern: str) -> list[Path]:
-        """Return files of the run by a pattern such as `nn/*.pth`, including rescued files."""
+        """Return the files that match a pattern such as `nn/*.pth`, including rescued files."""
         rescued = (folder / self.name for folder in _rescue_dirs(self._real_train_dir))
         return [file for place in (self.path, *rescued) for file in place.glob(pattern)]
 
     def newest_checkpoint(self) -> Path | None:
-        """Return the checkpoint that was written last, which may be rescued; None without any."""
+        """Return the newest checkpoint, which may be a rescued file, or None if there is none."""
         return newest(self.files("nn/*.pth"))
 
     def report_rescued(self, file: Path, key: str) -> None:
-        """Log if a checkpoint that the setting `key` has found is rescued."""
+        """Log a warning if the checkpoint that the setting `key` has found is a rescued file."""
         if not file.is_relative_to(self.path):
             log.warning(
                 "%s uses the rescued checkpoint %s, because its run folder could not be written",
@@ -222,7 +222,7 @@ _OPEN: list[RunFolder] = []
 
 
 def folder_of_checkpoint(checkpoint: Path) -> RunFolder:
-    """Return the run folder of a checkpoint; if this process trains in it, the open object."""
+    """Return the run folder of a checkpoint; it is reused if this process has opened it."""
     for folder in _OPEN:
         if checkpoint.parent in (folder.checkpoints, folder.checkpoints.absolute()):
             return folder
@@ -231,7 +231,7 @@ def folder_of_checkpoint(checkpoint: Path) -> RunFolder:
 
 
 def newest(files: Iterable[Path]) -> Path | None:
-    """Return the file that was written last, None without files; files may vanish meanwhile."""
+    """Return the file that was written last, or None if no file exists (any more)."""
     times = dict[Path, float]()
     for file in files:
         with contextlib.suppress(OSError):
@@ -263,7 +263,7 @@ def runs_below(train_dir: Path) -> list[RunFolder]:
 
 
 def run_of_checkpoint(checkpoint: str) -> Path | None:
-    """Return the run folder of a checkpoint `<run>/nn/<name>.pth`; None for any other path."""
+    """Return `<run>` if the checkpoint's path is `<run>/nn/<name>.pth`, else None."""
     path = Path(checkpoint)
     return path.parent.parent if checkpoint and path.parent.name == "nn" else None
 
@@ -276,10 +276,11 @@ class FolderInUseError(ConfigError):
 
 
 class FolderLock:
-    """An exclusive lock on an existing folder, until `release` or the end of the process.
+    """An exclusive lock on an existing folder; it lasts until `release` or the end of the process.
 
-    The lock is on a file in the folder, which contains process and host for messages. A killed
-    process leaves the file but not the lock. A file system without locks gets one warning.
+    The locked object is a file in the folder; the file names process and host for messages. A
+    killed process leaves the file but not the lock. If the file system has no locks, the log has
+    one warning.
 
     Raises:
         FolderInUseError: another run holds the lock.
@@ -290,10 +291,10 @@ class FolderLock:
         self._folder = folder
         self._file = folder / LOCK_FILE
         self._fd = self._open()
-        while not self.is_intact():  # the former holder removed the file meanwhile
+        while not self.is_intact():  # the process that held the lock has removed the file
             os.close(self._fd)
             self._fd = self._open()
-        with contextlib.suppress(OSError):  # a full disk leaves the file empty
+        with contextlib.suppress(OSError):  # if the disk is full, the file remains empty
             os.ftruncate(self._fd, 0)
             os.write(self._fd, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
 
@@ -305,7 +306,7 @@ class FolderLock:
             return False
 
     def release(self) -> None:
-        """Remove the file and end the lock."""
+        """Remove the lock's file and release the lock."""
         if self.is_intact():  # otherwise the file may belong to another run
             with contextlib.suppress(OSError):
                 self._file.unlink()
@@ -356,7 +357,7 @@ def _rescue_dir(train_dir: Path) -> Path:
 
 
 def _rescue_dirs(train_dir: Path) -> list[Path]:
-    """Return the folder of rescued runs of `train_dir`; empty if there is none."""
+    """Return a list with the folder of rescued runs of `train_dir`, empty if it does not exist."""
     try:
         root = _private_root()
     except OSError:  # there is no temporary folder
@@ -372,13 +373,13 @@ def _private_root() -> Path:
 
 
 def _key(train_dir: Path) -> str:
-    """Return a name that is unique on this machine for a folder of runs."""
+    """Return a name for a folder of runs; no other folder of this machine gets the same name."""
     path = os.path.realpath(train_dir)
     return f"{Path(path).name[:40]}-{hashlib.sha256(os.fsencode(path)).hexdigest()[:16]}"
 
 
 def _is_private(folder: Path) -> bool:
-    """Return whether a folder exists, is not a link, and only this user may enter it."""
+    """Return whether a folder exists, is not a link, and may be entered only by this user."""
     try:
         status = folder.lstat()
     except OSError:

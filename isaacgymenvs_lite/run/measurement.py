@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 
 def clip_spread_m(reference: ReferencePoses) -> float:
-    """Return the smallest spread of all clips: the mean distance in m of poses from their average.
+    """Return the smallest spread (m) of a clip: the mean distance of its poses from their average.
 
     The spread is near 0 for a clip without motion, which a standing policy imitates well.
     """
@@ -30,37 +30,37 @@ def clip_spread_m(reference: ReferencePoses) -> float:
 
 
 _NOTABLE = 0.1
-"""Relative loss of the last policy above which it is reported."""
+"""A last policy is reported if it loses more than this share of the best reward."""
 
 
 class MeasurementObserver(Stateful, AlgoObserver):
-    """Plays the mean policy at intervals and writes `imitation/pose_error_m`.
+    """Runs episodes with the mean policy at intervals and writes `imitation/pose_error_m`.
 
-    It also writes the errors of a task's goal, for example `goal/velocity_error_m_s`. For a task
-    without reference motions it writes `measured/reward`, and the policy with the highest measured
-    reward is the run's best checkpoint. rl_games would choose by the last training episodes, which
-    may be many epochs old.
+    The observer also writes the errors of a task's goal, for example `goal/velocity_error_m_s`. For
+    a task without reference motions it writes `measured/reward`, and the policy with the highest
+    measured reward is the run's best checkpoint. rl_games would choose the checkpoint by the last
+    training episodes, which may be many epochs old.
 
-    The evaluation has its own simulation, so that it does not disturb the training, and a fixed
-    seed, so that all evaluations start from the same states. An evaluation is postponed while all
+    The evaluation has a separate simulation, so that it does not disturb the training. Its fixed
+    seed makes all evaluations start from the same states. An evaluation is postponed while all
     evaluations together would take more than a small share of the training time.
 
     Args:
-        make_env: receives a number of environments and returns the evaluation's task.
+        make_env: maps a number of environments to a task for the evaluation.
         frequency: epochs between evaluations; 0 for no evaluations.
         num_episodes: episodes of one evaluation, which run at the same time.
         chooses_best: whether the measured reward chooses the best checkpoint.
 
     Attributes:
-        last: the newest result, None before the first evaluation.
+        last: the newest result, or None before the first evaluation.
         last_frame: environment steps before the newest evaluation.
-        best_pose_error_m: the lowest pose error in m; None before the first pose error.
+        best_pose_error_m: the lowest pose error in m, or None before the first pose error.
         clip_spread_m: `clip_spread_m` of the task's clips, nan before the first evaluation.
         implausible: implausible motions in the clips, '' before the first evaluation.
     """
 
     MAX_TIME_SHARE = 0.02
-    _SHARE_TO_CHOOSE = 0.1  # a training of a few seconds gets a few measurements, too
+    _SHARE_TO_CHOOSE = 0.1  # so large that a training of a few seconds also gets measurements
     _SEED = 1234
     best_pose_error_m: float | None = None
     best_reward: float | None = None
@@ -98,14 +98,14 @@ class MeasurementObserver(Stateful, AlgoObserver):
             algo.best_is_measured = True
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        """Evaluate if it is time."""
+        """Evaluate the policy if an evaluation is due."""
         if self._frequency == 0:
             return
         self._epochs += 1
         self._frame, self._epoch = frame, epoch_num
         self._due |= self._epochs % self._frequency == 0
         trained_s = time.monotonic() - self._start_s - self._spent_s
-        # The next evaluation is expected to take the average time of the others.
+        # The next evaluation is expected to take the average time of the previous evaluations.
         expected_s = self._spent_s / max(1, self._evaluations)
         share = self._SHARE_TO_CHOOSE if self.chooses_best else self.MAX_TIME_SHARE
         if not self._due or self._spent_s + expected_s > share * trained_s:
@@ -147,7 +147,7 @@ class MeasurementObserver(Stateful, AlgoObserver):
         )
 
     def measure(self) -> EvaluationResult:
-        """Play the episodes of one evaluation with the mean policy."""
+        """Run the episodes of one evaluation with the mean policy and return the result."""
         with torch.random.fork_rng(enabled=True):
             if self._env is None:
                 self._env = env = self._make_env(self._num_episodes)
@@ -185,6 +185,7 @@ class MeasurementObserver(Stateful, AlgoObserver):
         scalars |= {f"goal/{name}": error for name, error in result.goal_errors.items()}
         for tag, value in scalars.items():
             self._algo.writer.add_scalar(tag, value, frame)
-        # Scalars have rl_games' frame count, before the epoch; the log shows the current count.
+        # rl_games counts the frames before the epoch, so scalars have this count; the log shows the
+        # current count.
         trained = self._algo.frame // getattr(self._algo, "num_agents", 1)
         log.info("after %d frames, without exploration noise: %s", trained, result)

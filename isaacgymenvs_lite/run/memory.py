@@ -10,7 +10,7 @@ from isaacgymenvs_lite.simulation.backend import bytes_of_env
 from isaacgymenvs_lite.utils.memory import check_memory
 
 _FLOAT_BYTES = 4
-_COPIES_IN_TRAINING = 4  # weights, gradients, and Adam's two moments
+_COPIES_IN_TRAINING = 4  # weights, gradients, and two averages in Adam
 _COPIES_OF_SAMPLES = 2  # the rollout and the training set
 
 
@@ -24,9 +24,9 @@ def check_training_memory(params: Mapping[str, Any], task: Any, num_envs: int) -
     """
     config, network = params["config"], params["network"]
     if str(config.get("device")).startswith("cuda"):
-        return  # the samples are in the GPU's memory; the simulation checks its own memory
+        return  # the samples are in the GPU's memory, which is not checked
 
-    def count(key: str) -> int:  # the agent checks the key later
+    def count(key: str) -> int:  # the agent refuses a wrong value later
         return value if isinstance(value := config.get(key), int) else 0
 
     amp_size = getattr(task, "num_amp_obs", 0) if "amp_replay_buffer_size" in config else 0

@@ -1,4 +1,4 @@
-"""Computes the metrics of an epoch for all observers, and writes a task's scalars."""
+"""Computes the metrics of an epoch for all observers, and writes the scalars of a task."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from isaacgymenvs_lite.utils.state import Stateful
 
 @dataclass(frozen=True)
 class EpochMetrics:
-    """The metrics of an epoch; None where the agent or the task lacks a metric.
+    """The metrics of an epoch. A metric that the agent or the task lacks is None.
 
     Attributes:
         epoch: number of the epoch.
@@ -27,8 +27,8 @@ class EpochMetrics:
         episode_reward: mean sum of the task's rewards of the last episodes.
         fall_rate: share of the last episodes that ended by a fall, 0 to 1. For a task without
             `terminate`, an episode that ended before the time limit counts as a fall.
-        off_clip_rate: share of the last episodes that ended because the motion left its clip.
-        train_info: `CommonAgent.train_info_means`; empty for rl_games' own agents.
+        off_clip_rate: share of the last episodes that ended because the character left its clip.
+        train_info: `CommonAgent.train_info_means`; empty for the agents of rl_games.
     """
 
     epoch: int
@@ -41,7 +41,7 @@ class EpochMetrics:
 
     @property
     def early_end_rate(self) -> float | None:
-        """Share of the last episodes that fell or left their clip."""
+        """Share of the last episodes that ended by a fall or because of leaving the clip."""
         return None if self.fall_rate is None else self.fall_rate + (self.off_clip_rate or 0.0)
 
     @property
@@ -51,7 +51,7 @@ class EpochMetrics:
 
     @property
     def disc_accuracy(self) -> float | None:
-        """Balanced accuracy of the discriminator, from 0 to 1; 0.5 is guessing."""
+        """Balanced accuracy of the discriminator, from 0 to 1; random guesses have 0.5."""
         info = self.train_info
         if "disc_agent_acc" not in info or "disc_demo_acc" not in info:
             return None
@@ -91,7 +91,7 @@ class MetricsObserver(Stateful, AlgoObserver):
         """Count how the episodes of `done_indices` (n, 1) ended."""
         rows = done_indices.flatten()
         if (diverged := diverged_in(infos, rows.device)) is not None:
-            rows = rows[~diverged[rows]]  # a diverged episode counts in no rate
+            rows = rows[~diverged[rows]]  # the rates leave out diverged episodes
         off_clip = infos["off_clip"][rows].bool() if "off_clip" in infos else None
         if "terminate" in infos:
             fell = infos["terminate"][rows].bool()
@@ -145,8 +145,9 @@ class TaskScalarsObserver(Stateful, AlgoObserver):
       by "/".
     - `sim/diverged`: the number of simulations that diverged in the epoch, from infos["diverged"]
       (N,) bool. Their episodes are left out of all means.
-    - `reward_terms/<name>`: the terms of a reward with several terms, as means over environments
-      and steps of the epoch. A hierarchy reads one low-level step for each high-level action.
+    - `reward_terms/<name>`: each term of a reward with several terms, as the mean over environments
+      and steps of the epoch. In a hierarchy the mean is over one low-level step of each high-level
+      action.
     """
 
     stored = ("_running", "_finished")

@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Objective:
-    """The result of a run, by which sweeps compare runs.
+    """The quantity with which sweeps compare runs.
 
     `direction` is `minimize` or `maximize`, as in Hydra's sweepers.
     """
@@ -36,7 +36,7 @@ class Objective:
     direction: str
 
     def check_direction(self, direction: str, task: str) -> None:
-        """Check before a training that a study optimises the result in the right direction.
+        """Check before a training that a study minimises or maximises the result as it should.
 
         Raises:
             SweepError: `hydra.sweeper.direction` is the opposite direction.
@@ -57,10 +57,10 @@ MEAN_REWARD = Objective("best mean reward", "", "maximize")
 
 
 def objective_of(config: Mapping[str, Any], has_pose_error: bool) -> Objective:
-    """Return the result by which runs with this `train.params.config` are compared.
+    """Return the quantity with which runs of this `train.params.config` are compared.
 
-    It is the pose error if the pose error is measured and the task's reward has no weight
-    (`task_reward_w: 0`, as in AMP). It is the task's reward in all other trainings.
+    The quantity is the pose error if the pose error is measured and the task's reward has no weight
+    (`task_reward_w: 0`, as in AMP). In all other trainings it is the task's reward.
     """
     learns_task = config.get("task_reward_w", 1.0) != 0
     return POSE_ERROR if has_pose_error and not learns_task else MEAN_REWARD
@@ -74,7 +74,7 @@ class MultiObserver(Stateful, AlgoObserver):
         self.observers = observers
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the states of the observers by the names of their classes."""
+        """Return a dictionary from the name of each observer's class to the observer's state."""
         with_state = (each for each in self.observers if isinstance(each, Stateful))
         return {type(each).__name__: each.state_dict() for each in with_state}
 
@@ -118,8 +118,10 @@ class TrainingObservers(MultiObserver):
     """All observers of a training.
 
     Attributes:
-        agent: the agent, which rl_games' Runner makes but does not return; None before.
-        begin: called in the main process after the first rollout, when nothing can be refused.
+        agent: the agent, which rl_games' Runner makes but does not return; None until the Runner
+            has made the agent.
+        begin: called in the main process after the first rollout, when all settings have been
+            accepted.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Shows the progress of a training as a bar or as lines, and ends it at Ctrl-C."""
+"""Shows the progress of a training as a bar or as lines, and ends the training at Ctrl-C."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _BAR_FORMAT = "{percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{remaining}{postfi
 
 
 class ProgressObserver(AlgoObserver):
-    """Shows a progress bar on a terminal and a line every few seconds elsewhere; stops at Ctrl-C.
+    """Shows a progress bar in a terminal, else lines; ends the training at Ctrl-C.
 
-    Without a terminal the first and the last epoch always have a line. The epoch in which the user
-    requests the end becomes the last epoch.
+    Without a terminal there is a line every few seconds, and always for the first and last epoch.
+    The epoch in which the user requests the end becomes the last epoch.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class ProgressObserver(AlgoObserver):
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
         """Show the progress; end the training if the user requested it."""
         algo = self._algo
-        self._total = algo.max_epochs  # a stop changes max_epochs below
+        self._total = algo.max_epochs  # a stop request changes max_epochs below
         now = time.monotonic()
         fps = algo.curr_frames * current_group().size / max(now - self._last_epoch_s, 1e-9)
         self._frames_per_s.update(torch.tensor([fps]))
@@ -83,7 +83,8 @@ class ProgressObserver(AlgoObserver):
                 self._bar = tqdm(
                     total=total, initial=first, dynamic_ncols=True, bar_format=_BAR_FORMAT
                 )
-            # tqdm cuts the line at the width of the terminal; the least important value comes last.
+            # tqdm cuts its text at the width of the terminal, so the least important value comes
+            # last.
             shown = {**self._measured_values(), **self._epoch_values(), "fps": self._fps()}
             self._bar.set_postfix(shown, refresh=False)
             self._bar.update(epoch_num - self._bar.n)
@@ -97,7 +98,7 @@ class ProgressObserver(AlgoObserver):
             algo.max_epochs = epoch_num
 
     def _left_s(self, epoch_num: int, now: float) -> float | None:
-        """Return the time in s for the remaining epochs; None if their number is unlimited."""
+        """Return the time in s for the remaining epochs, or None if the epochs are unlimited."""
         if self._total <= epoch_num:
             return None
         made = epoch_num - (self._first_epoch or epoch_num) + 1
@@ -158,7 +159,7 @@ class ProgressObserver(AlgoObserver):
         log.info("%s", ", ".join(parts))
 
     def close(self) -> None:
-        """Close the progress bar; write the last epoch's line unless it was written."""
+        """Close the progress bar; write the last epoch's values unless they were written."""
         if self._bar is not None:
             self._bar.close()
         if self._unwritten_epoch is not None:

@@ -1,4 +1,4 @@
-"""Ends a run after the current epoch, with a checkpoint, at the request of user or system."""
+"""Ends a run after the current epoch, with a checkpoint, if the user or the system requests it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from isaacgymenvs_lite.errors import StoppedAtOnceError
 
 log = logging.getLogger(__name__)
 
-# An ssh session or a terminal sends this signal when it closes. Windows does not have it.
+# An ssh session or a terminal sends SIGHUP when it closes. Windows does not have this signal.
 _HANGUP = getattr(signal, "SIGHUP", None)
 # torchrun passes signals on, so a process receives a terminal's signal twice.
 _SAME_SIGNAL_S = 2.0
@@ -26,7 +26,7 @@ class StopRequest:
     """Turns the first Ctrl-C or SIGTERM into a request and the second into a StoppedAtOnceError.
 
     A `with` statement installs the signal handlers. SIGHUP is always a request, because a closing
-    session may send it several times. A process that nohup has started ignores it.
+    session may send SIGHUP several times. A process that nohup has started ignores SIGHUP.
 
     Attributes:
         requested: whether the run should end after this epoch.
@@ -45,7 +45,7 @@ class StopRequest:
         _restore_handlers(self._former)
 
     def request(self) -> None:
-        """Request the end like the first signal."""
+        """Request the end of the run, as the first signal does."""
         self.requested = True
         log.warning("ending after this epoch with a checkpoint")
 
@@ -85,7 +85,7 @@ def signals_as_ctrl_c() -> Iterator[None]:
 
 
 def _install_handlers(numbers: tuple[int, ...], handler: Any) -> dict[int, Any]:
-    """Install a signal handler, also for SIGHUP unless it is ignored; return former handlers."""
+    """Install a handler for signals, except for an ignored SIGHUP; return the former handlers."""
     if threading.current_thread() is not threading.main_thread():
         return {}  # only the main thread may handle signals
     if _HANGUP is not None and signal.getsignal(_HANGUP) is not signal.SIG_IGN:

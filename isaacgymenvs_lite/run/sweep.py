@@ -1,7 +1,7 @@
 """Runs the jobs of `train.py -m` and lists them at the end; a failed job does not end the others.
 
-Hydra composes the jobs and runs them in this process or in others. Each job has its own run folder
-and writes one line into `jobs.csv` in the sweep's folder.
+Hydra composes the jobs and runs them in this process or in other processes. Each job has a separate
+run folder and writes one line into `jobs.csv` in the sweep's folder.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from isaacgymenvs_lite.errors import ConfigError, SweepError, UserError, one_lin
 log = logging.getLogger(__name__)
 
 _FILE = "jobs.csv"
-# Whether the user has ended the sweep; each process that runs jobs has its own copy.
+# Whether the user has ended the sweep; every process that runs jobs has a copy of this flag.
 _ended_here = False
 
 
@@ -57,7 +57,8 @@ def run_job(run: Callable[..., float | None], parent: int) -> float | None:
     """Run the current job of a sweep, and add a line about it to the sweep's file.
 
     Args:
-        run: trains or plays like `runner.run`; its arguments are `stop` and `direction`.
+        run: trains a policy or plays one, as `runner.run` does; its arguments are `stop` and
+            `direction`.
         parent: process id of the sweep.
 
     Returns:
@@ -65,7 +66,7 @@ def run_job(run: Callable[..., float | None], parent: int) -> float | None:
         if the direction is `maximize`.
 
     Raises:
-        KeyboardInterrupt: the user has ended the sweep, which runs in this process.
+        KeyboardInterrupt: the user has ended the sweep, and the sweep runs in this process.
         SweepError: the sweep's settings are wrong for every job.
     """
     from isaacgymenvs_lite.run.stop_request import StopRequest  # imports torch
@@ -99,7 +100,7 @@ def run_job(run: Callable[..., float | None], parent: int) -> float | None:
         csv.writer(file).writerow([job.job.num, " ".join(job.overrides.task), written, failure])
     if failure:
         log.error("job #%d: %s", job.job.num, failure)
-    # A sweeper goes on after the worst result.
+    # A sweeper runs further jobs after the worst result, but not after an error.
     worst = -math.inf if direction == "maximize" else math.inf
     return worst if failure else number
 
@@ -111,7 +112,7 @@ class Summary(Callback):
     """Number of failed jobs of the sweep."""
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
-        """Log one line for each job, with its result or the reason of its failure."""
+        """Log one line for each job, with the result of the job or the reason of its failure."""
         file = Path(config.hydra.sweep.dir, _FILE)
         if not file.is_file():
             return
@@ -135,7 +136,7 @@ class Summary(Callback):
 def waiting_for_jobs() -> Iterator[None]:
     """Wait after the first Ctrl-C for jobs in other processes, which finish their epochs.
 
-    A terminal sends Ctrl-C to all processes. A second Ctrl-C ends all of them at once.
+    A terminal sends Ctrl-C to all processes. A second Ctrl-C ends all processes at once.
     """
     pressed = False
 

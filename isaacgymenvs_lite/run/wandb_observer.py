@@ -45,7 +45,7 @@ class WandbObserver(AlgoObserver):
         log.error("wandb could not be opened; training goes on without it")
 
     def close(self) -> None:
-        """Upload the rest and end the run, so that this process can open another run."""
+        """Upload the remaining data and end the run, so that this process can open another run."""
         if self._run is None:
             return
         try:
