@@ -1,4 +1,4 @@
-"""Reads a user's robot (MJCF or URDF) and adds what a task needs, without changing the file.
+"""Reads a user's robot (MJCF or URDF) and adds what a task needs; the file does not change.
 
 Start reading with `load_robot` in load.py.
 """

@@ -14,27 +14,34 @@ from isaacgymenvs_lite.errors import ConfigError, suggest
 from isaacgymenvs_lite.robots.limbs import ancestors
 from isaacgymenvs_lite.robots.settings import DriveSettings
 
-# kp in Nm/rad for each Nm of effort. A drive reaches its effort at an error of 0.25 rad.
+# kp in Nm/rad for each Nm of effort: a drive reaches its effort (largest torque) at an error of
+# 0.25 rad.
 _KP_OF_EFFORT = 4.0
-# kd / kp in s, the lag of a drive. A robot with 0.1 s learns to walk far later. The lag is longer
-# than a simulation step, so that light links do not oscillate.
+# kd / kp in s, the lag of a drive. With a lag of 0.1 s a robot learns to walk far later. The lag is
+# longer than a simulation step, so that light links do not oscillate.
 _KD_OF_KP = 0.03
-# Inertia of rotor and gears in kg m^2 for each Nm of effort, if the file has none. A G1's motors of
-# 25, 50, 88 and 139 Nm have 1.4e-4, 1.4e-4, 1.2e-4 and 1.8e-4. Without this inertia a motor at its
-# limit accelerates a light shank too much within a simulation step.
+# Inertia of rotor and gears in kg m^2 for each Nm of effort, for files without this inertia. The
+# motors of a G1 with 25, 50, 88 and 139 Nm have the values 1.4e-4, 1.4e-4, 1.2e-4 and 1.8e-4.
+# Without this inertia a motor at its limit accelerates a light shank too much within a simulation
+# step.
 _ARMATURE_OF_EFFORT = 1.5e-4
-# Largest effort that increases the gains, as a share of weight times height, because the efforts of
-# simulated robots may be arbitrary. A G1's knees have 0.56.
+# A larger effort does not increase the gains, because the efforts of simulated robots may be
+# arbitrary. The limit is a share of the robot's weight times its height; the share of a G1's knees
+# is 0.56.
 _MOST_OF_WEIGHT = 0.6
-# Share of weight times height for an unknown effort. A G1 has 0.35 at hips and 0.2 at ankles.
+# An unknown effort is replaced by this share of weight times height. The share of a G1's hips is
+# 0.35, that of its ankles 0.2.
 _EFFORT_OF_WEIGHT = 0.35
-# In rad/s^2. The limit keeps light fingers from efforts of legs. It does not apply to the joints of
-# standing legs, because a light foot would leave the ankle without effort.
+# Largest acceleration in rad/s^2. The limit keeps the drives of light fingers weaker than those of
+# legs. It does not apply to the joints of standing legs, because the ankle of a light foot would
+# get almost no effort.
 _MAX_ACCELERATION = 5000.0
-# Torque of the median drive for an action of 1, as a multiple of its effort. The noise of AMP's
-# policies (0.055) is then about a fifth of an effort; twice as much made a quadruped fall.
+# Torque of the median drive for an action of 1, as a multiple of the drive's effort. The noise of
+# AMP's policies (0.055) is then about a fifth of the effort; a noise of twice this torque made a
+# quadruped fall.
 _EFFORTS_OF_AN_ACTION = 4.0
-# Lower limit of this torque in weight times height, because weak motors would explore too little.
+# Lower limit of the torque for an action of 1, as a share of weight times height, because weak
+# motors would explore too little.
 _WEIGHT_OF_AN_ACTION = 0.6
 _MAX_ACTION_RAD = 2.0
 
@@ -44,7 +51,7 @@ _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 @dataclass(frozen=True)
 class Motor:
-    """A joint's motor in a file: kp, kd and effort in the joint's units, None if unknown.
+    """The motor of a joint in a file: kp, kd and effort in the joint's units; None means unknown.
 
     A joint that follows another joint (`mimic`) has no motor, because its drive would pull against
     the other joint.
@@ -75,7 +82,7 @@ def choose_drives(
     where: str,
     contact_bodies: Sequence[str] = (),
 ) -> list[Drive]:
-    """Choose the gains of all hinges and balls: the user's, else the file's, else an estimate.
+    """Choose the gains of all hinges and balls from the settings, else the file, else an estimate.
 
     The file's kp and kd come from its position actuator. The estimate of kp follows from the effort
     of the joint or its motor, or from the robot's weight if the effort is unknown; kd follows from
@@ -84,7 +91,7 @@ def choose_drives(
     Raises:
         ConfigError: a pattern matches no joint, or no pattern matches a joint.
     """
-    # The bodies in contact, the root, and all bodies between them.
+    # The bodies that touch the floor, the root, and all bodies between them and the root.
     carrying = {i for name in contact_bodies for i in ancestors(model, model.body(name).id)}
     joints = np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE).tolist()
     names = [model.joint(joint).name for joint in joints]
@@ -149,8 +156,8 @@ def _drive(
 def action_range(drives: Sequence[Drive], weight_moment: float) -> float:
     """Return the offset of the targets (rad) for an action of 1, at most 2 rad.
 
-    The median drive would answer with four times its effort, or with 0.6 of weight times height if
-    that is more.
+    At this offset the median drive would exert four times its effort, or 0.6 of weight times height
+    if this torque is larger.
     """
     driven = [drive for drive in drives if drive.kp > 0]
     if not driven:
@@ -166,7 +173,7 @@ def _useful(effort: float, weight_moment: float) -> float:
 
 
 def motors_of_file(model: mujoco.MjModel) -> dict[str, Motor]:
-    """Return the motors that a file describes by actuators and joint limits, by joint name."""
+    """Return a dictionary from joint names to motors, which actuators and joints describe."""
     of_joints = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
     followers = set(model.eq_obj1id[of_joints & (model.eq_obj2id >= 0)].tolist())
     return {model.joint(i).name: _motor(model, i, i in followers) for i in range(model.njnt)}
@@ -222,7 +229,7 @@ def _add_actuator(
     actuator = spec.add_actuator(name=name, target=drive.joint)
     actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
     actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
-    # The file's defaults would apply to the new actuators, too.
+    # The defaults of the file would otherwise also apply to the new actuators.
     actuator.dyntype, actuator.nsample = mujoco.mjtDyn.mjDYN_NONE, 0
     actuator.ctrllimited = actuator.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
     actuator.gainprm[:] = 0

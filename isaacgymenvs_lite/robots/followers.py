@@ -16,13 +16,13 @@ from isaacgymenvs_lite.errors import ConfigError
 
 _Floats = npt.NDArray[np.floating]
 TOLERANCE_RAD = 0.005
-"""Smaller deviations of a follower are not reported, because files are rounded."""
+"""A smaller deviation of a follower is not reported, because numbers in files are rounded."""
 _LOOPS = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 
 
 @dataclass(frozen=True)
 class _Follower:
-    """A joint whose position is a polynomial of its leader's: y - y0 = p(x - x0), as in MuJoCo.
+    """A joint whose position y follows its leader's position x: y - y0 = p(x - x0), as in MuJoCo.
 
     `start` is y0, the joint's position in the model's initial pose, and `leader_start` is x0. A
     joint without a leader is held at y0 + p(0).
@@ -65,7 +65,7 @@ class Followers:
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """The ids of the joints that follow other joints or are held."""
+        """The ids of the joints that follow other joints or are held at a position."""
         return tuple(follower.joint for follower in self._in_order)
 
     @property
@@ -79,9 +79,10 @@ class Followers:
         return tuple(int(self._model.jnt_qposadr[joint]) for joint in self.joints)
 
     def placed(self, qpos: _Floats) -> npt.NDArray[np.float64]:
-        """Return poses (..., Q) with the followers' positions computed from their leaders'.
+        """Return poses (..., Q) in which positions of followers are computed from their leaders.
 
-        The coordinates of objects, which come after the robot's, may be missing.
+        The poses may lack the coordinates of objects, which come after the coordinates of the
+        robot.
         """
         address = self._model.jnt_qposadr
         poses = np.array(qpos, dtype=np.float64)
@@ -94,7 +95,7 @@ class Followers:
         return poses
 
     def led(self, jacobian: _Floats, qpos: _Floats) -> npt.NDArray[np.float64]:
-        """Return a Jacobian (..., V) whose columns of leaders include their followers.
+        """Return a Jacobian (..., V) in which a leader's column includes its followers' motion.
 
         In the given Jacobian, at the pose `qpos` (Q,), all joints move independently. The columns
         of followers become zero.
@@ -111,7 +112,7 @@ class Followers:
 
 
 def _leaders_first(model: mujoco.MjModel, followers: dict[int, _Follower]) -> tuple[_Follower, ...]:
-    """Return the followers in an order in which each comes after its leader."""
+    """Return the followers in an order in which every follower comes after its leader."""
     placed: dict[int, _Follower] = {}
     while len(placed) < len(followers):
         ready = {

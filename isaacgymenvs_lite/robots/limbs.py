@@ -13,10 +13,11 @@ from isaacgymenvs_lite.errors import ConfigError, suggest
 from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.robots.start_pose import CLEARANCE, lowest_points, posed
 
-# Ends of one branch that are closer than this share of the robot's size are fingers of one hand.
+# Ends of one branch are fingers of one hand if their distance is below this share of the robot's
+# size.
 _HAND_OF_SIZE = 0.12
-# Bodies that are higher above the lowest point do not touch the floor; in m, or as a share of the
-# base's height. The tolerance covers toes and heel of a jointed foot.
+# Bodies whose height above the robot's lowest point exceeds this tolerance (m, or a share of the
+# base's height) do not touch the floor. The tolerance covers toes and heel of a jointed foot.
 _TOUCH = 0.01
 _TOUCH_SHARE = 0.02
 
@@ -31,7 +32,7 @@ def ancestors(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def free_joints(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
-    """Return the ids of the joints of bodies, body by body, without followers."""
+    """Return the ids of the joints of bodies, in the order of the bodies, without followers."""
     first, count = model.body_jntadr, model.body_jntnum
     followers = Followers(model).joints
     joints = (int(first[body]) + i for body in bodies for i in range(count[body]))
@@ -58,7 +59,7 @@ def bodies_named(model: mujoco.MjModel, names: Sequence[str], where: str) -> tup
 
 
 def limb_ends(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
-    """Return the last bodies of all limbs: hands, feet, and a head or tail that has joints.
+    """Return the last bodies of all limbs: hands, feet, and a head or tail with joints.
 
     A limb is a chain with at least one joint. Its end is the farthest body with a shape among the
     bodies that are fixed to the last link (rotors, sensors, feet), in the pose (Q,). The fingers of
@@ -67,7 +68,7 @@ def limb_ends(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
     places = posed(model, qpos).xpos
     size = float(np.ptp(places[1:], axis=0).max())
     chains = [ancestors(model, body) for body in range(model.nbody)]
-    # A frame that is fixed to a link may carry joints, a rotor never does.
+    # A body that is fixed to a link may have children with joints, but a rotor never has them.
     carrying = {up for body in np.flatnonzero(model.body_jntnum) for up in chains[body]}
 
     def ends(body: int) -> list[int]:
@@ -90,7 +91,7 @@ def limb_ends(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
 def touching_bodies(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
     """Return the bodies whose lowest points are near the robot's lowest point.
 
-    The tolerance is 1 cm, or 2% of the base's height above the floor if that is more.
+    The tolerance is the larger of 1 cm and 2% of the base's height above the floor.
     """
     data = posed(model, qpos)
     lows = lowest_points(model, data)

@@ -42,7 +42,7 @@ from isaacgymenvs_lite.robots.start_pose import (
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.utils.rotations import wxyz_from_xyzw
 
-_ABSURD = 10.0  # multiple of weight times height that no motor reaches
+_ABSURD = 10.0  # no motor reaches this multiple of weight times height
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,9 @@ class PreparedRobot:
     def trunk_height(self) -> float:
         """Height of the trunk in the start pose (m).
 
-        It is the base's height. Some files have a base on the ground, below half of the centre of
-        mass; then it is the height of the centre of mass.
+        The trunk's height is the base's height. If the base is lower than half of the height of the
+        centre of mass (some files have a base on the ground), it is the height of the centre of
+        mass.
         """
         on_ground = self.start_height < 0.5 * self.mass_height
         return self.mass_height if on_ground else self.start_height
@@ -105,7 +106,7 @@ def load_robot(
 ) -> PreparedRobot:
     """Read and prepare a robot's MJCF or URDF; see `read_robot_file` and `prepare_robot`.
 
-    `where` is the path of the settings' section, for messages.
+    Messages contain `where`, the path of the section with the settings.
     """
     file = read_robot_file(path)
     try:
@@ -130,7 +131,7 @@ def prepare_robot(
     notes = structure.name_everything(spec)
     notes += structure.check_equalities(spec)
     keys = _compile(spec)
-    Followers(keys)  # refuses loops, before parts of them are removed
+    Followers(keys)  # refuses loops while they are complete
     motors = motors_of_file(keys)
     if spec.actuators:
         notes.append(f"replaced {len(spec.actuators)} actuators of the file by position drives")
@@ -146,7 +147,8 @@ def prepare_robot(
     notes += more
     patterns = read_drives(settings.drives, f"{where}.drives")
     mass_height = _mass_height(model, qpos)
-    # Weight times height (Nm) of the base, or of the centre of mass if it is higher.
+    # Weight times height (Nm); the height is that of the base or of the centre of mass, whichever
+    # is higher.
     weight = float(model.body_subtreemass[0]) * 9.81
     moment = weight * max(start_height(model, qpos), mass_height)
     key_bodies, contacts, more = _key_bodies_and_contacts(model, qpos, settings, where)
@@ -159,7 +161,7 @@ def prepare_robot(
     notes.append("reused the file's floor" if spec.worldbody.geoms else "added a floor")
     structure.add_stage(spec)
     final = _compile(spec)
-    final.qpos0[3:7] = qpos[3:7]  # the upright rotation, relative to which clips are checked
+    final.qpos0[3:7] = qpos[3:7]  # clips are checked relative to this upright rotation
     return PreparedRobot(
         spec=spec,
         model=final,
@@ -177,9 +179,9 @@ def prepare_robot(
 def _start(
     keys: mujoco.MjModel, model: mujoco.MjModel, settings: RobotSettings, where: str
 ) -> tuple[npt.NDArray[np.float64], list[str]]:
-    """Return the start pose (Q,), with a note if neither the user nor a keyframe gives the pose.
+    """Return the start pose (Q,), and a note if neither the settings nor a keyframe give the pose.
 
-    `keys` is the model of the robot's file with its keyframes; `model` has the free root.
+    `keys` is the model of the robot's file, which has the keyframes; `model` has the free root.
     """
     positions = initial_positions(keys, settings.start_pose, where)
     if settings.start_rotation is not None:
@@ -205,7 +207,7 @@ def _start(
 def _key_bodies_and_contacts(
     model: mujoco.MjModel, qpos: npt.NDArray[np.float64], settings: RobotSettings, where: str
 ) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
-    """Return the key bodies, the bodies in contact, and a note if the robot seems to lie."""
+    """Return key bodies, bodies that touch the floor, and a note if the robot seems to lie down."""
     key_bodies = bodies_named(model, settings.key_bodies, f"{where}.keyBodies")
     contacts = bodies_named(model, settings.contact_bodies, f"{where}.contactBodies")
     contacts = contacts or touching_bodies(model, qpos)
@@ -232,7 +234,7 @@ def _absurd_efforts(drives: list[Drive], weight_moment: float) -> list[str]:
 
 
 def _rotors_added(model: mujoco.MjModel, drives: list[Drive]) -> list[str]:
-    """Return a note on joints whose armature comes from the drive and not from the file."""
+    """Return a note on joints whose armature comes from the drive because the file has none."""
     without = [d for d in drives if model.dof_armature[model.joint(d.joint).dofadr[0]] == 0]
     added = [drive.armature for drive in without if drive.armature > 0]
     if not added:

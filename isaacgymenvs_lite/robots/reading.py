@@ -1,7 +1,7 @@
-"""Reads a robot's MJCF or URDF, which a stranger may have written, into an MjSpec.
+"""Reads a robot's MJCF or URDF into an MjSpec; the file may come from a stranger.
 
-One pass over an MJCF and its includes refuses plugins and includes from other folders; then MuJoCo
-reads them. Meshes and textures are read from the robot's folder alone.
+One pass over an MJCF and its included files refuses plugins and includes from other folders; then
+MuJoCo reads the files. Meshes and textures are read only from the robot's folder.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from isaacgymenvs_lite.paths import user_path
 
 MESH_SUFFIXES = (".stl", ".obj", ".msh")
 """Mesh formats that MuJoCo reads."""
-# A folder with one of these names is a part of the robot's folder, as in ROS packages.
+# If the file's folder has one of these names, the robot's folder is the folder above, as in ROS
+# packages.
 _PARTS_OF_A_ROBOT = ("urdf", "urdfs", "xml", "mjcf", "xacro")
 _MAX_LEVELS = 6
 
@@ -38,7 +39,7 @@ class RobotFiles:
         self._folders += [up for up in _upwards(folder) if (up / "package.xml").is_file()][:1]
 
     def find(self, name: str, folder: str = "", kind: str = "mesh") -> Path:
-        """Return the path of a file of the robot, given as a path or as a package:// URI.
+        """Return the path of a file of the robot; `name` is a path or a package:// URI.
 
         `folder` is for example `meshdir`, relative to the main file.
 
@@ -75,15 +76,16 @@ class RobotFiles:
         )
 
     def find_include(self, name: str, of: Path) -> Path:
-        """Return the path of an included file in the main file's folder, or else in `of`'s."""
+        """Return the path of an included file in the main file's folder, else in the folder of
+        `of`."""
         what = f'{self.path}: <include file="{name}">'
         return _find_below(self._folders, [self.path.parent / name, of.parent / name], what)
 
     def _in_packages(self, uri: str) -> tuple[list[Path], list[Path]]:
         """Return possible paths of `package://name/rest`, and the folders that may contain them.
 
-        Files may have been copied without their package, so `rest` is also searched in the folders
-        above.
+        Because files may have been copied without their package, `rest` is also searched in the
+        folders above the main file.
         """
         name, _, rest = uri.lstrip("/").partition("/")
         ups = _upwards(self.path.parent)
@@ -100,11 +102,11 @@ def _upwards(folder: Path) -> list[Path]:
 
 
 def _find_below(folders: Iterable[Path], tried: Iterable[Path], what: str) -> Path:
-    """Return the first path of `tried` that is a file below one of the folders, without links."""
+    """Return the first path of `tried` that leads, through any links, to a file below a folder."""
     folders, tried = list(folders), list(dict.fromkeys(tried))
     try:
         found = next((real for path in tried if (real := path.resolve()).is_file()), None)
-    except (OSError, ValueError, RuntimeError) as error:  # a name too long, a circle of links
+    except (OSError, ValueError, RuntimeError) as error:  # too long a name, or a circle of links
         raise ConfigError(f"{what}: this is not a path ({one_line(error)})") from error
     if found is None:
         raise ConfigError(f"{what} is missing; looked for {', '.join(map(str, tried))}")
@@ -126,7 +128,7 @@ def read_xml(path: Path) -> ET.Element:
 def mesh_content(path: Path) -> bytes:
     """Return the content of a mesh file; MuJoCo needs STL in ASCII to be converted to binary."""
     content = path.read_bytes()
-    # Some binary files also begin with `solid`, but the word `vertex` does not follow soon.
+    # Some binary files also begin with `solid`, but only a text file soon contains `vertex`.
     is_text = content[:5].lower() == b"solid" and b"vertex" in content[:1000]
     if path.suffix.lower() != ".stl" or not is_text:
         return content
@@ -135,7 +137,8 @@ def mesh_content(path: Path) -> bytes:
         triangles = np.array(corners, dtype="S32").astype("<f4").reshape(-1, 9)
     except ValueError as error:
         raise ConfigError(f"{path}: not an STL file: {printable(str(error))}") from error
-    # A facet has a normal, which MuJoCo computes itself, three corners and two unused bytes.
+    # A facet consists of a normal (zeros, because MuJoCo computes it), three corners and two unused
+    # bytes.
     facets = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", 9), ("_", "<u2")])
     facets["corners"] = triangles
     return bytes(80) + struct.pack("<I", len(facets)) + facets.tobytes()
@@ -158,12 +161,12 @@ class RobotFile(NamedTuple):
 
 
 def read_robot_file(path: str | Path, with_sensors: bool = False) -> RobotFile:
-    """Read a robot's MJCF or URDF; the format is recognised by the content.
+    """Read a robot's MJCF or URDF; the content of the file decides between the formats.
 
     Meshes are read from the robot's folder: the folder of the file, the folder above it if the
-    file's folder is called urdf, xml or the like, and the ROS package of the file. `package://name/`
-    is a folder of this name above the file, or next to a folder above the file. `with_sensors`
-    keeps the sensors of an MJCF for a task that reads them.
+    file's folder is called urdf, xml or the like, and the ROS package of the file.
+    `package://name/` means a folder `name` above the file, or next to a folder above the file.
+    `with_sensors` keeps the sensors of an MJCF for a task that reads them.
 
     Raises:
         ConfigError: the file or a file that it names is missing or in another folder, has elements
@@ -269,7 +272,7 @@ def _take_meshes(spec: mujoco.MjSpec, files: RobotFiles, is_urdf: bool) -> list[
 
 
 def _take_textures(spec: mujoco.MjSpec, files: RobotFiles) -> list[str]:
-    """Read images of textures into `spec.assets`; return a note on textures that are left out."""
+    """Read images of textures into `spec.assets`; return a note on omitted textures."""
     assets, dropped = dict(spec.assets), []
     for texture in [one for one in spec.textures if one.file or any(one.cubefiles)]:
         name = texture.file.replace("\\", "/")
@@ -308,9 +311,9 @@ def _allow_open_meshes(spec: mujoco.MjSpec) -> None:
 
 
 def _prepare_urdf(root: ET.Element) -> list[str]:
-    """Set options of MuJoCo's compiler; remove <gazebo> elements and empty spheres.
+    """Set options of MuJoCo's compiler; remove <gazebo> elements and spheres without a radius.
 
-    The visual shapes of a robot without collision shapes collide; the function returns a note then.
+    If a robot has no collision shapes, its visual shapes collide, and the function returns a note.
     """
     root[:] = [child for child in root if child.tag in ("link", "joint", "material")]
     for link in root.iter("link"):
@@ -319,7 +322,7 @@ def _prepare_urdf(root: ET.Element) -> list[str]:
             if sphere is not None and not float(sphere.get("radius", 0)):
                 link.remove(shape)
     extension = ET.Element("mujoco")
-    # Links on fixed joints remain bodies, because feet and hands of many robots are fixed links.
+    # Links on fixed joints remain separate bodies, because many robots have such feet and hands.
     settings = {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}
     # URDF files often have links without mass or with impossible inertias.
     least = {"boundmass": "1e-6", "boundinertia": f"{_LEAST_INERTIA:g}"}
@@ -334,7 +337,7 @@ def _prepare_urdf(root: ET.Element) -> list[str]:
 
 
 def _repair_inertias(spec: mujoco.MjSpec) -> list[str]:
-    """Make inertias positive that MuJoCo would refuse; return a note on them."""
+    """Replace inertias that MuJoCo would refuse by positive inertias; return a note on them."""
     repaired = []
     for body in spec.bodies:
         xx, yy, zz, xy, xz, yz = body.fullinertia

@@ -1,7 +1,7 @@
-"""Bends the legs of a robot with four or more legs whose file has no keyframe.
+"""Bends the legs of a robot that has four or more legs and no keyframe in its file.
 
-The targets of the drives are offsets from the start pose. Straight legs would be a poor start pose,
-because they can only push the trunk upwards.
+The targets of the drives are offsets from the start pose. Straight legs would make a poor start
+pose, because straight legs can only push the trunk upwards.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from isaacgymenvs_lite.robots.limbs import ancestors, free_joints, limb_ends, to
 from isaacgymenvs_lite.robots.start_pose import mesh_vertices, posed
 
 _LEAST_LEGS = 4
-# Distance from hip to foot as a share of the straight leg; the first that the joints can reach.
+# Distances from hip to foot as shares of the straight leg's length. The first distance that the
+# joints can reach is used.
 _LENGTHS = (0.75, 0.8, 0.85, 0.9, 0.65, 0.55)
 _SHORTEST = 0.1  # share of the leg's length; a shorter link is not a thigh or shank
 _PARALLEL = 0.95  # cosine of the angle between the axes of a hip and its knee
 LATERAL = 0.7
 """A hinge swings a leg forwards and backwards if its axis has at least this y component."""
-_SPRAWLED_RAD = 0.7  # legs at a larger angle to the vertical, as a spider's, are not bent
+_SPRAWLED_RAD = 0.7  # legs at a larger angle to the vertical, like a spider's legs, are not bent
 
 Vector = npt.NDArray[np.float64]
 
@@ -38,8 +39,9 @@ class _Leg:
 
     Vectors are complex numbers in the plane in which the hip swings the leg, so that a turn about
     the hip's axis adds to the angle. `hip` and `knee` are ids of hinges, `end` is the id of the
-    last body; thigh and shank are in m, `down` is a unit vector. `knee_sign` is -1 if the axes of
-    hip and knee have opposite directions. `ahead` are the x components of the plane's directions.
+    last body; `thigh` and `shank` are in m, `down` is a unit vector. `knee_sign` is -1 if the axes
+    of hip and knee have opposite directions. `ahead` has the x components of the plane's two
+    directions.
     """
 
     hip: int
@@ -81,7 +83,7 @@ def bend_legs(model: mujoco.MjModel, qpos: Vector) -> Vector | None:
 
 
 def _leg(model: mujoco.MjModel, data: mujoco.MjData, end: int) -> _Leg | None:
-    """Return the leg of an end body, or None.
+    """Return the leg that ends with the body `end`, or None if there is no such leg.
 
     The hip is the first hinge whose axis is not along x; the knee is the next parallel hinge.
     """

@@ -24,11 +24,11 @@ _GEOM = mujoco.mjtGeom
 def initial_positions(
     model: mujoco.MjModel, pose: Any, where: str
 ) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the positions of all joints by name, in the pose of `RobotSettings`.
+    """Return a dictionary from joint names to positions, in the pose of `RobotSettings`.
 
     Args:
         model: the model of the robot's file.
-        pose: the name of a keyframe, angles of hinges by patterns, or None.
+        pose: the name of a keyframe, a mapping from patterns of hinges to angles (rad), or None.
         where: key of the pose, for messages.
 
     Raises:
@@ -58,7 +58,7 @@ def initial_positions(
 
 
 def _keyframe(model: mujoco.MjModel, name: str | None, where: str) -> int | None:
-    """Return the id of the named keyframe; without a name the id of a standing one or the first."""
+    """Return the id of the keyframe `name`; None selects the standing or the first keyframe."""
     names = [model.key(key).name for key in range(model.nkey)]
     if name is not None:
         if name not in names:
@@ -69,7 +69,7 @@ def _keyframe(model: mujoco.MjModel, name: str | None, where: str) -> int | None
 
 
 def _joint_positions(model: mujoco.MjModel, key: int | None) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the positions of all joints by name: a keyframe's, or zero within the limits."""
+    """Map joint names to positions in a keyframe, or else to the positions nearest to zero."""
     qpos = np.array(model.qpos0 if key is None else model.key_qpos[key])
     found = {}
     for joint, values in enumerate(np.split(qpos, model.jnt_qposadr[1:])):
@@ -88,9 +88,9 @@ def start_pose(
 ) -> npt.NDArray[np.float64]:
     """Return the start pose (Q,) of a robot with a free root at x = y = 0.
 
-    Joints without a position keep their initial position in the model; followers follow their
-    leaders. `height` is the height of the base in m; if it is None, the robot's lowest point is
-    `CLEARANCE` above the floor.
+    Joints without a given position keep their initial position in the model; positions of followers
+    are computed from their leaders. `height` is the height of the base in m; if it is None, the
+    robot's lowest point is `CLEARANCE` above the floor.
     """
     qpos = np.array(model.qpos0)
     for joint in range(model.njnt):
@@ -109,7 +109,7 @@ def start_pose(
 def start_height(model: mujoco.MjModel, qpos: npt.ArrayLike) -> float:
     """Return the height of the base (m) at which the lowest point is `CLEARANCE` above z = 0.
 
-    The height in the pose (Q,) has no influence.
+    The height in the pose `qpos` (Q,) has no influence.
 
     Raises:
         ConfigError: no geom can touch anything.
@@ -129,7 +129,7 @@ def posed(model: mujoco.MjModel, qpos: npt.ArrayLike) -> mujoco.MjData:
 
 
 def lowest_points(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, float]:
-    """Return the lowest height (m) of each body's geoms that can touch others, by body id."""
+    """Return a dictionary from body ids to the lowest height (m) of the body's colliding geoms."""
     lows: dict[int, float] = {}
     for geom in geoms_that_touch(model):
         down = -data.geom_xmat[geom].reshape(3, 3)[2]  # the world's -z in the frame of the geom

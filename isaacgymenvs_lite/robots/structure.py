@@ -19,8 +19,8 @@ from isaacgymenvs_lite.simulation.model_layout import CONTACT_SENSOR_PREFIX
 
 _FREE, _SLIDE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_SLIDE
 _EQUALITY = mujoco.mjtEq
-_OVERLAP = 0.002  # largest overlap in m of bodies that touch in a start pose
-# Maps fields of a model to a description, the largest value of a robot, and its unit.
+_OVERLAP = 0.002  # bodies that overlap by at most this (m) in the start pose only touch
+# Maps fields of a model to a description, the largest value that a robot may have, and the unit.
 _LARGEST = {
     "body_pos": ("position", 100.0, "m"),
     "body_quat": ("rotation", 1.01, "as a quaternion"),
@@ -60,8 +60,7 @@ def keep_one_robot(spec: mujoco.MjSpec) -> tuple[mujoco.MjsBody, list[str]]:
     """Remove everything except the robot; return its root, and notes.
 
     Scenery (bodies without joints, all geoms of the world) and objects (free bodies without
-    children) are removed. A plane of the world stays if it is the floor, because contact pairs may
-    name it.
+    children) are removed. A plane that is the floor stays, because contact pairs may name it.
 
     Raises:
         ConfigError: the file has no robot or several robots.
@@ -100,7 +99,8 @@ def _is_free(body: mujoco.MjsBody) -> bool:
 def free_root(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> list[str]:
     """Give the root a free joint if it has none; return notes.
 
-    A root with slides emulates a base that moves in a plane, so its slides and hinges are removed.
+    The slides and hinges of a root with slides are removed, because they emulate a base that moves
+    in a plane.
 
     Raises:
         ConfigError: a hinge or a ball joint connects the robot to the world.
@@ -143,13 +143,13 @@ def _remove_joints(spec: mujoco.MjSpec, joints: list[mujoco.MjsJoint]) -> None:
         if equality.name1 in gone or (equality.name2 in gone and not of_joints):
             things.append(equality)
         elif equality.name2 in gone:
-            equality.name2 = ""  # hold the follower, because its leader is removed
+            equality.name2 = ""  # hold the follower of a removed leader
     for thing in [*things, *tendons, *joints]:
         spec.delete(thing)
 
 
 def check_equalities(spec: mujoco.MjSpec) -> list[str]:
-    """Remove constraints that are inactive or hold the robot in the world; return notes."""
+    """Remove inactive constraints and constraints that fix the robot to the world; return notes."""
     notes = []
     for equality in list(spec.equalities):
         names = [name for name in (equality.name1, equality.name2) if name]
@@ -181,7 +181,7 @@ def check_numbers(model: mujoco.MjModel) -> None:
         largest = np.abs(values).max(axis=1, initial=0.0)
         prefix = field.partition("_")[0]
         kind = {"jnt": "joint", "dof": "joint"}.get(prefix, prefix)
-        for row in np.flatnonzero(~(largest <= most)).tolist():  # the comparison also finds NaN
+        for row in np.flatnonzero(~(largest <= most)).tolist():  # NaN also fails this comparison
             owner = rows[kind](model.dof_jntid[row] if prefix == "dof" else row)
             raise ConfigError(
                 f"{kind} '{printable(owner.name)}' has the {quantity} {largest[row]:.3g}"
@@ -213,9 +213,10 @@ def part_overlapping_bodies(
 
 
 def add_contact_sensors(spec: mujoco.MjSpec) -> None:
-    """Add a sensor `contact_<body>` for every body: the net force (N, world axes) of the floor.
+    """Add a sensor `contact_<body>` for each body: the floor's net force (newton, world axes).
 
-    Contacts between the robot's own bodies do not count, because they are frequent and no falls.
+    Contacts between two bodies of the robot do not count, because they are frequent and are no
+    falls.
     """
     for sensor in [s for s in spec.sensors if s.name.startswith(CONTACT_SENSOR_PREFIX)]:
         spec.delete(sensor)
@@ -237,7 +238,7 @@ _COPIED_OF_FLOOR = ("pos", "quat", "size", "condim", "friction", "material", "gr
 def add_stage(spec: mujoco.MjSpec) -> None:
     """Add the floor, light and solver settings of this project's models.
 
-    The robot's own cone, impratio and contact parameters stay. A floor of the file is reused. The
+    The cone, impratio and contact parameters of the robot stay. A floor in the file is reused. The
     floor is called `floor`, is at z = 0 and collides with every geom of the robot that can collide.
     """
     stage = mujoco.MjSpec.from_string(
@@ -249,7 +250,7 @@ def add_stage(spec: mujoco.MjSpec) -> None:
     own = next(iter(spec.worldbody.geoms), None)
     bits = [(geom.contype, geom.conaffinity) for geom in spec.geoms]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the stage has no mesh files
+        warnings.simplefilter("ignore")  # MuJoCo warns: no mesh files
         spec.attach(stage, frame=spec.worldbody.add_frame(), prefix=_PREFIX)
     floor = spec.geom(f"{_PREFIX}floor")
     if own is not None:
