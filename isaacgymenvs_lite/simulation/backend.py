@@ -1,18 +1,20 @@
 """Defines the Protocol of a simulation backend, tensor by tensor, and makes a backend.
 
-A backend holds `num_envs` copies of one MuJoCo model. Tasks read and write float32 torch tensors
-on `device`, in Isaac Gym's layout: quaternions are xyzw, positions and velocities are in world
-axes relative to the environment's own origin, and the positions of a 3-DoF ball joint are its
-rotation vector (exponential map) in the child frame.
+A backend holds `num_envs` copies of one MuJoCo model. Tasks read and write float32 torch tensors on
+`device`, in Isaac Gym's layout: quaternions are xyzw, positions and velocities are in world axes
+relative to the origin of the environment, and the three positions of a ball joint are its rotation
+vector (exponential map) in the child frame.
 
-The state tensors are preallocated; `step` and writes update them in place. A caller may keep the
-reference, and copies values that must outlive the next step. The tensors of bodies (`body_...`),
-joint forces and sensors are different: they are computed when the property is read, so that it must
-be read again after each step or write. The memory need not be contiguous, because `cpu_batch` keeps
-each component of all environments together: use `reshape` or `flatten`, not `view`.
+The state tensors are preallocated; `step` and writes update them in place. A caller may keep a
+reference to these tensors, and must copy values that have to outlive the next step. The tensors of
+bodies (`body_...`), joint forces and sensors are different: they are computed when the property is
+read, so that the property must be read again after each step or write. The memory of a tensor need
+not be contiguous, because `cpu_batch` keeps each component of all environments together: use
+`reshape` or `flatten`, not `view`.
 
-A model may have objects in addition to the robot. An object is a body without children on its own
-free joint, after all bodies of the robot in the file. Body and DOF tensors do not contain objects.
+A model may have objects in addition to the robot. An object is a body with a free joint and without
+children that comes after all bodies of the robot in the file. Body and DOF tensors do not contain
+objects.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ class SimulationBackend(Protocol):
     """N simulations of one model: B bodies, D degrees of freedom, U actuators, K objects.
 
     The world and the objects do not count as bodies. The D degrees of freedom belong to the joints
-    in file order, without the free joints of root and objects; a ball joint has three.
+    in file order, without the free joints of root and objects; a ball joint has three degrees of
+    freedom.
     """
 
     model: mujoco.MjModel
@@ -43,21 +46,21 @@ class SimulationBackend(Protocol):
     device: torch.device
 
     substeps: int
-    """Physics steps of one control step, which `step()` makes."""
+    """Physics steps of one control step; `step()` makes one control step."""
 
     body_names: tuple[str, ...]
-    """B names in the order of the body tensors."""
+    """B names of bodies in the order of the body tensors."""
 
     dof_names: tuple[str, ...]
-    """D names; a ball joint `hip` gives hip_x, hip_y, hip_z."""
+    """D names of degrees of freedom; a ball joint `hip` has the names hip_x, hip_y and hip_z."""
 
     object_names: tuple[str, ...]
-    """K names in the order of the object tensors; none in models without objects."""
+    """K names of objects in the order of the object tensors."""
 
     root_states: Tensor
     """(N, 13) position (m), rotation xyzw, linear (m/s) and angular velocity (rad/s) of the root.
 
-    The values belong to the body's origin and are in world axes.
+    Positions and velocities are those of the root body's origin, in world axes.
     """
 
     dof_pos: Tensor
@@ -67,18 +70,18 @@ class SimulationBackend(Protocol):
     """(N, D) rad/s (or m/s); child-frame angular velocity for ball joints."""
 
     contact_forces: Tensor
-    """(N, B, 3) net contact force (N) on each body in world axes in the last physics step.
+    """(N, B, 3) net contact force (newton) on each body in world axes in the last physics step.
 
-    It is zero for environments that were written since then.
+    The force is zero for environments whose state has been set since that step.
     """
 
     object_states: Tensor
     """(N, K, 13) states of the objects, like `root_states`."""
 
     object_contact_forces: Tensor
-    """(N, K, 3) net contact force (N) on each object in world axes in the last physics step.
+    """(N, K, 3) net contact force (newton) on each object in world axes in the last physics step.
 
-    It is zero for objects that were written since then, and if the model has no
+    The force is zero for objects whose state has been set since that step, and if the model has no
     `contact_<object>` sensors.
     """
 
@@ -86,16 +89,16 @@ class SimulationBackend(Protocol):
     """(N,) bool, whether the simulation diverged in the last `step()`.
 
     A simulation diverges if a speed exceeds 1000 rad/s or m/s, or if MuJoCo warns with BADQPOS,
-    BADQVEL or BADQACC (a value is not finite or above 1e10) and resets the simulation. It is reset
-    to its default state; the task ends the episode.
+    BADQVEL or BADQACC (a value is not finite or above 1e10) and resets the simulation. A diverged
+    simulation is reset to its default state; the task ends the episode.
     """
 
     num_failures: int
     """Number of divergences of all environments since the start."""
 
     recordings: list[Recording]
-    """The last steps of the first few diverged simulations. The reader removes them from the list,
-    which makes room for others."""
+    """The last steps of the first few diverged simulations. Code that reads a recording removes it
+    from the list, which makes room for another recording."""
 
     @property
     def dt(self) -> float:
@@ -124,33 +127,34 @@ class SimulationBackend(Protocol):
 
     @property
     def dof_forces(self) -> Tensor:
-        """(N, D) torques (Nm) or forces (N) of actuators, springs and dampers on the joints.
+        """(N, D) torques (Nm) or forces (newton) of actuators, springs and dampers on the joints.
 
-        The values are from the last physics step and zero for environments that were written since
-        then. The torques of ball joints are in the child frame.
+        The values are from the last physics step and zero for environments whose state has been set
+        since that step. The torques of ball joints are in the child frame.
         """
         ...
 
     def sensor(self, *names: str) -> Tensor:
         """Return the values (N, k) of named sensors of the model in the last physics step.
 
-        The values are zero for environments that were written since then. They have MuJoCo's units
-        and are in world axes unless the sensor has its own frame. `contact` sensors measure the
-        force that their first body exerts. Reading is fastest if the sensors are neighbours in the
-        model, in this order.
+        The values are zero for environments whose state has been set since that step. The values
+        have MuJoCo's units and are in world axes unless the sensor defines a frame. A `contact`
+        sensor measures the force that its first body exerts. Reading is fastest if the sensors are
+        neighbours in the model, in the order of `names`.
         """
         ...
 
     def expand(self, field: str) -> npt.NDArray[Any]:
-        """Give each environment its own values of a model field; return them, (N, ...), to write.
+        """Give each environment separate values of a model field; return the values (N, ...).
 
-        The field is a field of `MjModel` or `opt.<field>`. Poses of bodies and joints (`body_pos`,
-        `jnt_axis`, ...) must not be changed.
+        The caller writes into the returned values. The field is a field of `MjModel` or
+        `opt.<field>`. Poses of bodies and joints (`body_pos`, `jnt_axis`, ...) must not be changed.
         """
         ...
 
     def update_constants(self, env_ids: npt.NDArray[np.integer]) -> None:
-        """Recompute the constants that MuJoCo derives from masses and the like, for envs (n,)."""
+        """Recompute the constants that MuJoCo derives from masses and other fields, for envs
+        (n,)."""
         ...
 
     def set_controls(self, controls: Tensor) -> None:
@@ -166,9 +170,9 @@ class SimulationBackend(Protocol):
     ) -> None:
         """Set n different environments to root states (n, 13), DOF positions and velocities (n, D).
 
-        Their objects return to their places in the model, at rest. Everything that depends on the
-        earlier state (warm start, controls, contact forces) is cleared. The other environments do
-        not change by a bit.
+        The objects of these environments return to their poses in the model, at rest. Everything
+        that depends on the earlier state (initial values of the solver, controls, contact forces)
+        is cleared. The other environments do not change by a bit.
         """
         ...
 
@@ -176,8 +180,8 @@ class SimulationBackend(Protocol):
         """Set k objects (indices of `object_names`) of n environments to states (n, k, 13).
 
         Ids must be unique; their order is free. No other object, no robot and no other environment
-        changes by a bit. The solver's warm start of the n environments is cleared, so that their
-        next steps depend on states and controls alone.
+        changes by a bit. The initial values of the solver are cleared in the n environments, so
+        that the next steps of these environments depend only on states and controls.
         """
         ...
 
@@ -186,7 +190,7 @@ class SimulationBackend(Protocol):
         ...
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore the result of `state_dict`; simulations of an equal model go on bit by bit.
+        """Restore the result of `state_dict`; equal models then make equal steps, bit by bit.
 
         Raises:
             KeyError, TypeError, ValueError, RuntimeError: the state belongs to other simulations.
@@ -194,12 +198,12 @@ class SimulationBackend(Protocol):
         ...
 
     def close(self) -> None:
-        """Free the simulations and their threads; the backend cannot be used afterwards."""
+        """Release the simulations and their threads; the backend cannot be used afterwards."""
         ...
 
 
 def bytes_of_env(model: mujoco.MjModel) -> int:
-    """Return the smallest number of bytes of one simulation of a model in any backend."""
+    """Return a lower bound of the bytes that any backend needs for one simulation of a model."""
     state = mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_INTEGRATION))
     # Isaac Gym's layout has root, joints, and pose, velocities and force of each body.
     floats = 13 + 2 * model.nv + 16 * (model.nbody - 1)
@@ -219,7 +223,7 @@ def make_simulation(
         model: the compiled model.
         num_envs: number of simulations.
         substeps: physics steps of one control step.
-        num_threads: CPU worker threads; 0 means as many CPUs as have enough work.
+        num_threads: number of worker threads; 0 means as many threads as CPUs with enough work.
         backend: `cpu_batch`, which is the only backend.
     """
     from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation

@@ -1,8 +1,8 @@
 """Implements the backend Protocol by `mujoco.batch.Batch`, on the CPU.
 
 The batch keeps float64 rows; each step converts them once into the preallocated float32 tensors
-that tasks read. Poses and velocities of the bodies, which not all tasks need, are computed by
-`utils.kinematics` when a task reads them. MuJoCo's own stages would do several times the work.
+that tasks read. Poses and velocities of the bodies, which some tasks do not need, are computed by
+`utils.kinematics` when a task reads them. MuJoCo's functions would do several times the work.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.m
 # A simulation with a faster joint (rad/s or m/s) counts as diverged. PhysX limits bodies to 100
 # rad/s.
 MAX_SPEED = 1000.0
-# Waking a thread takes some 10 us, on a busy machine 100 us, so that less work is not worth it.
+# Least work of a thread. Waking a thread takes some 10 us, on a busy machine 100 us.
 _WORK_PER_THREAD_S = 50e-6
 _TIMED_STEPS = 5
-# Recordings that nobody has taken yet.
+# Largest number of recordings that are kept until somebody reads them.
 _MAX_RECORDINGS = 8
-# Attributes that share the batch's own memory.
+# Attributes that are views of the batch's memory.
 _VIEWS = (
     *("_state_rows", "_qpos_rows", "_qvel_rows", "_object_qpos", "_object_qvel"),
     *("_warmstart_rows", "_warnings", "_ctrl64", "_contacts", "_sensor_rows", "_force_rows"),
@@ -71,7 +71,7 @@ class CpuBatchSimulation:
         ):
             if value < least:
                 raise ConfigError(f"{name}={value}: expected at least {least}")
-        # Without this MuJoCo writes MUJOCO_LOG.TXT into the working directory.
+        # Without this handler MuJoCo writes MUJOCO_LOG.TXT into the working directory.
         mujoco.set_mju_user_warning(lambda message: log.debug("MuJoCo: %s", message))
         self.model = model
         self.num_envs = num_envs
@@ -137,7 +137,8 @@ class CpuBatchSimulation:
         self.object_states = as_tensor(buffers.object_states)
         self.object_contact_forces = as_tensor(buffers.object_contact_forces)
         self.failed = torch.zeros(self.num_envs, dtype=torch.bool)
-        # Environments that were written since the last step have no measurements yet.
+        # Whether the state of an environment was set after the last step; it then lacks
+        # measurements.
         self._written = np.zeros(self.num_envs, dtype=bool)
         self._speeds = [buffers.velocities]
         if self.object_names:
@@ -150,9 +151,9 @@ class CpuBatchSimulation:
 
     @property
     def batch(self) -> Batch:
-        """MuJoCo's batch of simulations, for tests and debugging; RuntimeError after `close`.
+        """MuJoCo's batch of simulations, for tests and debugging; after `close` a RuntimeError.
 
-        If a caller changes its state, the tensors are current again after the next step.
+        If a caller changes the state of the batch, the tensors are current after the next step.
         """
         if self._batch is None:
             raise RuntimeError("the simulation was closed; make a new task to go on")
@@ -192,7 +193,7 @@ class CpuBatchSimulation:
         """(N, D) torques of actuators, springs and dampers; see `SimulationBackend.dof_forces`."""
         batch = self.batch
         if self._force_rows is None:
-            # The batch copies these values out at every step after their first use.
+            # After the first use of these values the batch copies them at every step.
             self._force_rows = [batch.bind("qfrc_actuator"), batch.bind("qfrc_passive")]
         dofs = slice(self.layout.dof_vel_adr, self.layout.num_qvel)
         actuators, passive = (rows[:, dofs] for rows in self._force_rows)
@@ -211,7 +212,7 @@ class CpuBatchSimulation:
         return self._measured(self._sensor_rows[:, np.r_[*slices]])
 
     def _measured(self, rows: np.ndarray) -> Tensor:
-        """Return rows (N, k) of the last physics step as a tensor (N, k), component-major."""
+        """Return rows (N, k) of the last physics step as a component-major tensor (N, k)."""
         columns = np.empty(rows.T.shape, dtype=np.float32)
         transpose_into(columns, rows)
         if self._written.any():
@@ -258,10 +259,11 @@ class CpuBatchSimulation:
         self._recover(batch, raised)
 
     def _recover(self, batch: Batch, raised: np.ndarray | None) -> None:
-        """Reset diverged simulations to the default state, flag and count them."""
+        """Reset diverged simulations to the default state; set their flags and count them."""
         diverged = np.zeros(self.num_envs, dtype=bool)
         for speeds in self._speeds:
-            # Testing each environment is slow and happens only if a value is too large or NaN.
+            # Because it is slow, the test of each environment is made only if any value is too
+            # large or NaN.
             if not -MAX_SPEED <= speeds.min() <= speeds.max() <= MAX_SPEED:
                 diverged |= (np.abs(speeds) > MAX_SPEED).any(axis=0)
         if raised is not None:
@@ -299,7 +301,7 @@ class CpuBatchSimulation:
         if len(rows) == 0:
             return
         qpos, qvel = self._converter.rows(root_states, dof_pos, dof_vel)
-        # Writing the row, from which the next step starts, is faster than Batch.reset.
+        # The next step starts from this row; writing the row is faster than Batch.reset.
         self._state_rows[rows] = self._default_state
         self._qpos_rows[rows] = qpos
         self._qvel_rows[rows] = qvel
@@ -349,7 +351,7 @@ class CpuBatchSimulation:
             self.batch.set_const(np.arange(self.num_envs))
 
     def _memory(self) -> dict[str, np.ndarray]:
-        """Return the memory on which the next steps depend or which is read before them."""
+        """Return the arrays on which later steps depend or which are read before the next step."""
         return {
             "state": self.batch.state,
             "sensordata": self._sensor_rows,
@@ -369,7 +371,7 @@ class CpuBatchSimulation:
             np.negative(forces, out=forces)
 
     def _refresh_rows(self, rows: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """Convert qpos and qvel of the written environments (n,), without contact forces."""
+        """Convert qpos and qvel of n environments whose state was set, without contact forces."""
         buffers = StateBuffers(self.layout, len(rows))
         self._converter.fill(buffers, qpos, qvel)
         if self._buffers.bodies_are_current:
@@ -379,9 +381,9 @@ class CpuBatchSimulation:
         self._buffers.replace(rows, buffers)
 
     def close(self) -> None:
-        """Free the simulations and their threads; a second call does nothing."""
+        """Release the simulations and their threads; a second call does nothing."""
         self._batch = None
-        # The views would keep the batch's memory and threads alive.
+        # As long as these views exist, the batch's memory and threads exist.
         for view in _VIEWS:
             self.__dict__.pop(view, None)
 

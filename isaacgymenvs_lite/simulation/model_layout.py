@@ -1,8 +1,8 @@
 """Computes the index arrays of a model's root, degrees of freedom, bodies and objects.
 
-An object is a body without children on its own free joint; the model's first joint belongs to the
+An object is a body with a free joint and without children; the model's first joint belongs to the
 robot. All objects come after the robot's bodies, so that MuJoCo's qpos, qvel and body arrays begin
-with the robot's part.
+with the values of the robot.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ CONTACT_SENSOR_PREFIX = "contact_"
 class ModelLayout:
     """Names and addresses of one model: B bodies, D degrees of freedom, K objects."""
 
-    # B names without the world and the objects; body tensors use this order.
+    # B names of bodies, without the world and the objects, in the order of the body tensors.
     body_names: tuple[str, ...]
-    # D names in joint order; a ball joint has the names `<joint>_x`, `_y` and `_z`.
+    # D names of degrees of freedom in joint order; those of a ball joint are `<joint>_x`, `_y` and
+    # `_z`.
     dof_names: tuple[str, ...]
     dof_body_ids: tuple[int, ...]  # (G,) body of each joint group, in the order of `body_names`
     # (G + 1,) first degree of freedom of each group; the last entry is D.
@@ -34,7 +35,7 @@ class ModelLayout:
     ball_qpos: np.ndarray  # (balls, 4) qpos columns of each ball joint's quaternion, as xyzw
     ball_dofs: np.ndarray  # (balls, 3) the degrees of freedom of each ball joint
     scalar_qpos: np.ndarray  # (scalars,) qpos columns of hinges and slides
-    scalar_dofs: np.ndarray  # (scalars,) their degrees of freedom
+    scalar_dofs: np.ndarray  # (scalars,) degrees of freedom of hinges and slides
     # (B, 3) columns of sensordata with the net contact force of each body; None if the model has no
     # `contact_<body>` sensors.
     contact_columns: np.ndarray | None
@@ -45,7 +46,7 @@ class ModelLayout:
 
     @property
     def num_dofs(self) -> int:
-        """D, without the free joints of root and objects."""
+        """D, which does not include the free joints of root and objects."""
         return self.dof_offsets[-1]
 
     @property

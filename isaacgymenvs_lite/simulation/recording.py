@@ -24,7 +24,7 @@ Doubles = npt.NDArray[np.float64]
 
 _FORMAT = "isaacgymenvs_lite.diverged"
 _VERSION = 1
-# Control steps of a recording.
+# Number of control steps in a recording.
 _STEPS = 4
 _FIELD = "model."
 _NUMBERS = ("env_id", "control_step", "substeps")
@@ -39,13 +39,13 @@ _IDENTITY = (
 class Recording:
     """The last control steps of a simulation before it diverged."""
 
-    # (K, S) MuJoCo's `mjSTATE_INTEGRATION` before each control step, controls included.
+    # (K, S) MuJoCo's `mjSTATE_INTEGRATION` before each control step; it includes the controls.
     states: Doubles
     substeps: int  # physics steps of a control step
     model_id: str  # see `model_identity`
-    # This simulation's own values of model fields, by name.
+    # Maps names of model fields to this simulation's values.
     fields: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
-    env_id: int = 0  # its environment
+    env_id: int = 0  # index of the environment
     control_step: int = 0  # number of the recording's last control step in the task
     task: str = ""  # name of the task; '' if it is unknown
 
@@ -53,9 +53,9 @@ class Recording:
 class StepHistory:
     """Keeps the states of N simulations before each of their last control steps.
 
-    `rows` (N, S) is a view of the current states. Only the first `num_changing` values are copied;
-    the others are taken from the first simulation, because most of a state are applied forces,
-    which nothing here uses.
+    `rows` (N, S) is a view of the current states. Only the first `num_changing` values of a state
+    are copied. The remaining values are mostly applied forces, which no task uses, so a returned
+    state has the remaining values of the first simulation.
     """
 
     def __init__(self, rows: Doubles, num_changing: int) -> None:
@@ -67,7 +67,7 @@ class StepHistory:
 
     @property
     def added(self) -> int:
-        """Number of states of each simulation that were added so far."""
+        """Number of calls of `add` so far."""
         return self._added
 
     def add(self) -> None:
@@ -76,7 +76,7 @@ class StepHistory:
         self._added += 1
 
     def restart(self, env_ids: npt.NDArray[np.integer]) -> None:
-        """Forget the states of simulations (n,) that were written."""
+        """Forget the stored states of n simulations whose current state was set."""
         self._started[env_ids] = self._added
 
     def states(self, env_id: int) -> Doubles:
@@ -88,7 +88,7 @@ class StepHistory:
 
 
 def model_identity(model: mujoco.MjModel) -> str:
-    """Return a text that is equal for models that differ only in randomised parameters."""
+    """Return a text that identifies a model; randomised parameters do not change the text."""
     digest = hashlib.sha256(bytes(model.names))
     digest.update(np.float64(model.opt.timestep).tobytes())
     for name in _IDENTITY:
@@ -112,7 +112,7 @@ def write_recording(path: Path, recording: Recording) -> None:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a file of `write_recording`, without running code from it."""
+    """Read a file of `write_recording` without running code that the file contains."""
     if not path.is_file():
         raise ConfigError(f"{path}: no such file; expected <run>/diverged/<name>.npz")
     try:

@@ -4,9 +4,9 @@
     isaacgymenvs-lite replay 0001.npz task=Ant task.sim.dt=0.02
 
 A training writes FILE, which contains the states before the last control steps, into `diverged/` of
-its run folder. The command computes the steps again and prints for each physics step the largest
-acceleration and speed with their joints. The model comes from the run's config.yaml or from the
-settings after FILE.
+its run folder. The command computes the steps again. For each physics step it prints the largest
+acceleration and the largest speed, with the names of their joints. The model comes from the run's
+config.yaml or from the settings after FILE.
 """
 
 from __future__ import annotations
@@ -38,9 +38,10 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 @dataclass(frozen=True)
 class Largest:
-    """The largest absolute value of a physics step, and the name of its joint.
+    """The largest absolute speed or acceleration in a physics step, and the name of its joint.
 
-    Its unit is rad or m per s or s^2. It is nan or inf if a value is not finite.
+    The unit is rad/s or m/s for a speed, rad/s^2 or m/s^2 for an acceleration. The value is nan or
+    inf if any value of the step is not finite.
     """
 
     value: float
@@ -51,11 +52,11 @@ class Largest:
 class PhysicsStep:
     """A physics step of a replay."""
 
-    control_step: int  # index in the recording, 0 for the oldest
+    control_step: int  # index in the recording; the oldest step has the index 0
     physics_step: int  # index in the control step
     time_s: float  # simulated time after the step, since the start of the recording
     acceleration: Largest  # `qacc` of the step, rad/s^2 or m/s^2
-    speed: Largest  # `qvel` after the step, rad/s or m/s; free joints are in world axes
+    speed: Largest  # `qvel` after the step, rad/s or m/s; in world axes for free joints
     is_sound: bool  # whether the state is finite and no joint is faster than `MAX_SPEED`
 
 
@@ -82,7 +83,7 @@ def replay(recording: Recording, model: mujoco.MjModel) -> Iterator[PhysicsStep]
 
 
 def _own_model(recording: Recording, model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy of the model with the recording's fields and without MuJoCo's own resets."""
+    """Return a copy of the model that has the recording's fields and is never reset by MuJoCo."""
     size = mujoco.mj_stateSize(model, _STATE)
     if recording.states.shape[1] != size:
         raise ConfigError(
@@ -170,7 +171,7 @@ def table(recording: Recording, model: mujoco.MjModel) -> Iterator[str]:
 
 
 def main(arguments: list[str] | None, make_model: ModelMaker) -> int:
-    """Run the command line; `make_model` makes the task's model, as this package has no tasks."""
+    """Run the command line; `make_model` makes the model, because this package has no tasks."""
     parser = argparse.ArgumentParser(
         prog="isaacgymenvs-lite replay",
         description=__doc__,

@@ -1,12 +1,12 @@
 """Converts between the float32 state that tasks read and MuJoCo's qpos and qvel.
 
 The state is stored component-major: each component has a contiguous row with a value for each
-environment. Reductions and rotations over components then run along memory, in a fraction of the
-time.
+environment. Reductions and rotations over components then read contiguous memory, in a fraction of
+the time.
 
 A free body (the robot's root or an object) has a state of 13 values: position, rotation xyzw,
-linear and angular velocity in world axes. MuJoCo orders quaternions wxyz, does not normalise them,
-and has the angular velocity of a free joint in the body's frame.
+linear and angular velocity in world axes. In MuJoCo quaternions are wxyz and not normalised, and
+the angular velocity of a free joint is in the body's frame.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ STATE_SIZE = 13
 QPOS_SIZE = 7
 QVEL_SIZE = 6
 _ROWS_IN_CACHE = 256
-# The entries of a free joint's qpos with position and rotation xyzw.
+# The indices of position and rotation xyzw in the qpos of a free joint.
 _QPOS_ROWS = np.append(np.arange(3), xyzw_from_wxyz(torch.arange(3, 7)).numpy())
 
 
 class StateBuffers:
     """The float32 state of n environments with B bodies, D degrees of freedom and K objects.
 
-    All values are zero at first. `SimulationBackend` has the same names and units, but there the
+    All values are zero at first. The names and units are those of `SimulationBackend`, in which the
     environments are the first dimension.
 
     Attributes:
         root_states: (13, n).
         dof_pos: (D, n).
         dof_vel: (D, n).
-        velocities: (6 + D, n) the root's velocities, then `dof_vel`.
-        qpos: (Q, n) the robot's part of MuJoCo's qpos.
+        velocities: (6 + D, n) velocities of the root, followed by `dof_vel`.
+        qpos: (Q, n) the robot's values in MuJoCo's qpos.
         body_pos: (3, B, n).
         body_rot: (4, B, n).
         contact_forces: (3, B, n).
@@ -62,7 +62,7 @@ class StateBuffers:
         first_body = first_qpos + layout.num_qpos
         first_object = first_body + 10 * num_bodies
         num_rows = first_object + (STATE_SIZE + 3) * num_objects
-        # Values in one block of memory are replaced in one operation.
+        # All values share one block of memory, so that one operation can replace them.
         self._all = np.zeros((num_rows, num_envs), dtype=np.float32)
         self.root_states = self._all[:STATE_SIZE]
         self.dof_vel = self._all[STATE_SIZE:first_dof_pos]
@@ -80,13 +80,13 @@ class StateBuffers:
 
     @property
     def memory(self) -> dict[str, Floats]:
-        """The blocks of memory with all values, by name."""
+        """Maps names to the blocks of memory that contain all values."""
         return {"tensors": self._all, "body_velocities": self._body_velocities}
 
     def replace(self, env_ids: npt.NDArray[np.integer], others: StateBuffers) -> None:
-        """Copy the n environments of `others` to `env_ids` (n,).
+        """Copy the n environments of `others` to the environments `env_ids` (n,).
 
-        If bodies and velocities are current here, they must also be current in `others`.
+        If the bodies and velocities of `self` are current, those of `others` must also be current.
         """
         _replace_columns(self._all, env_ids, others._all)
         if self.has_body_velocities:
@@ -171,9 +171,9 @@ class StateConverter:
         self._kinematics.velocities(buffers.qpos, qvel, *poses, *velocities)
 
     def of_objects(self, qpos_rows: Doubles, qvel_rows: Doubles) -> tuple[Doubles, Doubles]:
-        """Return the objects' parts (n, K, 7) and (n, K, 6) of qpos (n, nq) and qvel (n, nv).
+        """Return the values (n, K, 7) and (n, K, 6) of objects in qpos (n, nq) and qvel (n, nv).
 
-        They share memory with the arguments.
+        The results share memory with the arguments.
         """
         layout = self._layout
         shape = (len(qpos_rows), len(layout.object_names))
@@ -201,7 +201,7 @@ class StateConverter:
     ) -> tuple[Doubles, Doubles]:
         """Return qpos (n, nq) and qvel (n, nv) of n states in the layout of `SimulationBackend`.
 
-        The objects are at their places in the model, at rest.
+        The objects have their poses in the model and are at rest.
         """
         layout = self._layout
         angles = dof_pos.numpy().T.astype(np.float64)
