@@ -76,8 +76,7 @@ class RobotFiles:
         )
 
     def find_include(self, name: str, of: Path) -> Path:
-        """Return the path of an included file in the folder of the main file or of the file
-        `of`."""
+        """Return the path of an included file in the main file's folder or in that of `of`."""
         what = f'{self.path}: <include file="{name}">'
         return _find_below(self._folders, [self.path.parent / name, of.parent / name], what)
 

@@ -153,8 +153,7 @@ class SimulationBackend(Protocol):
         ...
 
     def update_constants(self, env_ids: npt.NDArray[np.integer]) -> None:
-        """Recompute the constants that MuJoCo derives from masses and other fields, for envs
-        (n,)."""
+        """Recompute the constants of envs (n,) that MuJoCo derives from masses and other fields."""
         ...
 
     def set_controls(self, controls: Tensor) -> None:

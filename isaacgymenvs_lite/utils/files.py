@@ -11,16 +11,16 @@ from pathlib import Path
 from isaacgymenvs_lite.errors import ConfigError
 
 PARTIAL_FILE = r"\..+\.\d+\.partial"
-"""Pattern of the names of temporary files, which a killed process may leave."""
+"""Pattern of the names of temporary files; a killed process may leave such files."""
 
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a temporary path to write to; it is renamed to `path` at the end, or removed.
+    """Yield a temporary path to write to; rename it to `path`, or remove it after an error.
 
-    The content reaches the disk before the new name, so that a crash leaves the old file or the new
-    file. A file or link that has the temporary path is removed first, because another user may have
-    made it.
+    The content reaches the disk before the file gets the name `path`, so that a crash leaves either
+    the old file or the new file. A file or link that has the temporary path is removed first,
+    because another user may have made it.
 
     Raises:
         OSError: the folder is missing, cannot be written or is full.
@@ -42,7 +42,7 @@ def check_no_links(folder: Path, below: str = "") -> None:
 
     Args:
         folder: the folder, which may be a link itself.
-        below: the only subfolder that is written to; '' for all.
+        below: the only subfolder that is written to; '' means that all may be written to.
 
     Raises:
         ConfigError: there is a link below the folder.
@@ -63,7 +63,7 @@ def written_for_user(path: Path, key: str) -> Iterator[Path]:
 
     Args:
         path: the file.
-        key: the setting with the path, for the message.
+        key: the setting that contains the path, for the message.
 
     Raises:
         ConfigError: the folder cannot be made or written, or is full.

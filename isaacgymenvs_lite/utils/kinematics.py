@@ -1,14 +1,15 @@
 """Computes world poses and velocities of a model's bodies from many rows of qpos and qvel.
 
-MuJoCo's own stages also compute inertias, tendons and collisions, which nobody needs here, and
-MuJoCo gives velocities of other points than the bodies' origins.
+MuJoCo's functions also compute inertias, tendons and collisions, which no caller of this module
+needs, and the velocities that MuJoCo computes are not those of the bodies' origins.
 
 The bodies have rows in the order of their depth in the tree. One operation therefore applies the
-parents' poses to all bodies of one depth, and one operation moves all joints of a group.
+poses of the parents to all bodies of one depth, and one operation applies the positions of all
+joints of a group.
 
-Arrays over states are component-major: they have a row for each component of each body and a
-column for each state, so that every operation runs along contiguous memory. They are numpy arrays,
-because torch's operations have a longer overhead, which dominates for arrays of this size.
+Arrays over states are component-major: they have a row for each component of each body and a column
+for each state, so that every operation runs along contiguous memory. They are numpy arrays, because
+the overhead of torch's operations is longer and dominates the time for arrays of this size.
 """
 
 from __future__ import annotations
@@ -49,9 +50,10 @@ class Joints:
         qpos: rows of qpos: (J,) for hinges and slides, (4, J) xyzw for balls, (7, J) for free
             joints.
         qvel: rows of qvel: (J,) for hinges and slides, (3, J) for balls, (6, J) for free joints.
-        references: (J, 1) rad or m, qpos of hinges and slides in the model's own pose.
+        references: (J, 1) rad or m, qpos of hinges and slides in the model's reference pose.
         axes: (3, J, 1) axes of hinges and slides in the body's frame.
-        anchors: (3, J, 1) m, points of the bodies about which they rotate; None for the origins.
+        anchors: (3, J, 1) m, points about which the bodies rotate; None means that the points are
+            the origins of the bodies.
         is_first_rotation: whether the bodies have their parents' rotation before these joints.
         is_last: whether no body of the group has a later joint.
     """
@@ -82,12 +84,12 @@ class Joints:
 
 @dataclass(frozen=True)
 class Level:
-    """L bodies of one depth, whose parents' poses are applied together.
+    """L bodies of one depth, to which the poses of their parents are applied together.
 
     Attributes:
         bodies: rows of the bodies.
         parents: (L,) rows of their parents.
-        is_rotated: whether the rotation of any body may differ from its parent's.
+        is_rotated: whether the rotation of any body may differ from the rotation of its parent.
     """
 
     bodies: slice
@@ -105,9 +107,12 @@ class KinematicTree:
     Attributes:
         order: (B,) the bodies in the order of their rows, nearest to the world first.
         row_of_body: (B,) the row of each body.
-        offsets: (3, B, 1) m, positions in the parents' frames without joints, by rows.
-        rotations: (4, B, 1) xyzw, rotations in the parents' frames without joints, by rows.
-        joints: all groups of joints; the first joints of all bodies come before the second joints.
+        offsets: (3, B, 1) m, positions in the parents' frames without joints, in the order of the
+            rows.
+        rotations: (4, B, 1) xyzw, rotations in the parents' frames without joints, in the order of
+            the rows.
+        joints: all groups of joints; groups of first joints on a body come before groups of second
+            joints.
         levels: the bodies whose parent is not the world, nearest to the world first.
         children: the rows of all levels together.
         parents: rows of the parents of `children`.
@@ -138,8 +143,8 @@ class KinematicTree:
 class Kinematics:
     """Computes world poses and velocities of the first B bodies of a model.
 
-    A body may have several joints of any type. Mocap bodies keep their poses in the model.
-    Diverging simulations cause numpy's warnings unless the caller silences them.
+    A body may have several joints of any type. Mocap bodies keep the poses that they have in the
+    model. Diverging simulations cause warnings of numpy unless the caller silences the warnings.
 
     Args:
         model: the compiled model; later changes of its values have no effect.
@@ -160,14 +165,14 @@ class Kinematics:
             rotations: (4, B, n) xyzw, the output.
         """
         tree = self._tree
-        pos, rot = np.empty_like(positions), np.empty_like(rotations)  # by rows
+        pos, rot = np.empty_like(positions), np.empty_like(rotations)  # in the order of the rows
         self._fill_poses_in_parents(qpos, pos, rot)
         for level in tree.levels:
             world = rot.take(level.parents, axis=1)
             if level.is_rotated:
                 world = quat_mul_components(world, rot[:, level.bodies])
             scatter(rot, level.bodies, world)
-        # Rotate all offsets into world axes at once, then add them up.
+        # Rotate the offsets of all bodies into world axes at once, then add the offsets up.
         offsets = rotate_components(rot.take(tree.parents, axis=1), pos[:, tree.children])
         scatter(pos, tree.children, offsets)
         for level in tree.levels:
@@ -176,7 +181,7 @@ class Kinematics:
         rot.take(tree.row_of_body, axis=1, out=rotations, mode="clip")
 
     def _fill_poses_in_parents(self, qpos: Floats, positions: Floats, rotations: Floats) -> None:
-        """Fill in the poses relative to the parents, by rows."""
+        """Fill in the poses relative to the parents, in the order of the rows."""
         positions[:] = self._tree.offsets
         rotations[:] = self._tree.rotations
         for joints in self._tree.joints:
@@ -208,8 +213,9 @@ class Kinematics:
                 + sum over balls and hinges of w_joint x (p - anchor)
                 + sum over slides of axis * speed
 
-        Offsets between bodies are differences of float32 positions. Their rounding error grows with
-        the distance from the environment's origin; it is 4e-6 m at 50 m.
+        Offsets between bodies are differences of float32 positions. The rounding error of these
+        positions grows with the distance from the environment's origin; the error is 4e-6 m at 50
+        m.
 
         Args:
             qpos: (nq, n) in MuJoCo's conventions.
@@ -243,10 +249,11 @@ class Kinematics:
         linear: Floats,
         angular: Floats,
     ) -> None:
-        """Add each body's velocity relative to its parent to `linear` and `angular`, by rows.
+        """Add each body's velocity relative to its parent to its row of `linear` and `angular`.
 
-        The loop goes from the last joint of each body to the first. The pose after a joint gives
-        the joint's axis; undoing the joint gives the pose after the previous joint.
+        The loop goes from the last joint of each body to the first. The pose that a body has after
+        all joints up to a joint gives the axis of this joint. Removing the displacement or rotation
+        of this joint from the pose gives the pose after the previous joint.
         """
         if self._has_stacked_joints:
             pos, rot = positions.copy(), rotations.copy()
@@ -298,7 +305,7 @@ def _apply_displacements(joints: Joints, by: Floats, positions: Floats, rotation
 
 
 def _undo(joints: Joints, bodies: Ids, qpos: Floats, positions: Floats, rotations: Floats) -> None:
-    """Change the poses of `bodies` (J,) after these joints into the poses before the joints."""
+    """Replace the poses of `bodies` (J,) after these joints by the poses before these joints."""
     after = rotations.take(bodies, axis=1)
     if joints.kind == SLIDE:
         displacements = joints.displacements(qpos)
@@ -348,7 +355,7 @@ def _depths(model: mujoco.MjModel) -> Ids:
 def _joint_groups(
     model: mujoco.MjModel, row_of_body: Ids, is_rotated: npt.NDArray[np.bool_]
 ) -> list[Joints]:
-    """Group the joints by their number on the body and by their type."""
+    """Group the joints by type and by the number of joints before them on their body."""
     included = model.jnt_bodyid <= len(row_of_body)
     number = np.arange(model.njnt) - model.body_jntadr[model.jnt_bodyid]
     groups: list[Joints] = []

@@ -1,4 +1,4 @@
-"""Compares the memory that is needed with the machine's memory before it is allocated.
+"""Compares the memory that a program needs with the machine's memory, before any is allocated.
 
 Linux grants more memory than the machine has, and kills the process without a message when the
 memory is used.
@@ -13,7 +13,8 @@ from pathlib import Path
 from isaacgymenvs_lite.errors import ConfigError
 
 _GIB = 2**30
-# Files with the container's limit, by version of control groups; "max" means no limit.
+# Files with the memory limit of the container, one for each version of control groups; "max" means
+# no limit.
 _CGROUP_LIMITS = (
     Path("/sys/fs/cgroup/memory.max"),
     Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
@@ -21,7 +22,7 @@ _CGROUP_LIMITS = (
 
 
 def total_memory_bytes() -> int | None:
-    """Return the memory of this machine or container in bytes, None if it is unknown."""
+    """Return the bytes of memory of this machine or container, or None if they are unknown."""
     limits = []
     if hasattr(os, "sysconf"):  # not on Windows
         limits.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
@@ -39,7 +40,7 @@ def check_memory(needed: Mapping[str, float], advice: str, total_bytes: int | No
     """Refuse a memory use that exceeds the memory of this machine.
 
     Args:
-        needed: lower bounds of the needed bytes, by purpose.
+        needed: maps each purpose to a lower bound of the bytes that it needs.
         advice: settings to lower, for the message.
         total_bytes: memory of the machine; None reads it from the system.
 

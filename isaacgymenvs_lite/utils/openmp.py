@@ -1,9 +1,9 @@
 """Makes torch's idle OpenMP threads sleep, unless an environment variable decides otherwise.
 
-OpenMP's idle threads spin for some 10 ms after each operation of torch, on CPUs that the physics or
-another process needs. On a busy machine every operation of a network then waits for a thread that
-the system has suspended, so that a training becomes ten to forty times slower. OpenMP reads its
-waiting policy once, when torch is imported.
+OpenMP's idle threads spin for some 10 ms after each operation of torch, and occupy CPUs that the
+physics or another process needs. On a busy machine every operation of a network then waits for a
+thread that the system has suspended, which makes a training ten to forty times slower. OpenMP reads
+its waiting policy once, when torch is imported.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def let_threads_sleep() -> None:
     """Set OMP_WAIT_POLICY=PASSIVE before torch's import, unless the environment has a setting.
 
     Child processes inherit the variable. Nothing is set if torch was imported before, because
-    nothing would read it; see `threads_spin`.
+    OpenMP would not read the variable any more; see `threads_spin`.
     """
     global _spins
     if any(name in os.environ for name in _WAITING):
@@ -32,5 +32,5 @@ def let_threads_sleep() -> None:
 
 
 def threads_spin() -> bool:
-    """Return whether torch was imported before `let_threads_sleep`, without a setting."""
+    """Return whether torch's idle threads spin, because torch was imported first."""
     return _spins

@@ -1,4 +1,4 @@
-"""Imports optional packages, which our extras install, or says which extra is missing."""
+"""Imports optional packages, or says which extra of this package would install them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ EXTRAS = {
     "stable_baselines3": "sb3",
     "wandb": "wandb",
 }
-# Maps modules to the names of their packages if the two differ.
+# Maps a module to the name of its package if the names differ.
 _PACKAGE_NAMES = {"av": "av (PyAV)"}
 
 
@@ -31,8 +31,8 @@ def require(module: str, wanted_by: str, otherwise: str = "") -> None:
     """Check that a package is installed, without importing it.
 
     Args:
-        module: the name by which it is imported, a key of `EXTRAS`.
-        wanted_by: the feature that needs it, for the message.
+        module: the name under which the package is imported, a key of `EXTRAS`.
+        wanted_by: the feature that needs the package, for the message.
         otherwise: an alternative without the package, for the message.
 
     Raises:
@@ -51,7 +51,7 @@ def import_package(module: str, wanted_by: str) -> Any:
     """Return a module of an optional package, for example `stable_baselines3.common`.
 
     Args:
-        module: its dotted name; the first part is a key of `EXTRAS`.
+        module: dotted name of the module; the text before the first dot is a key of `EXTRAS`.
         wanted_by: see `require`.
 
     Raises:

@@ -1,8 +1,8 @@
-"""Chooses the precision of networks by a key or by a short measurement.
+"""Chooses the precision of networks according to a key or to a short measurement.
 
-`mixed_precision: True` means bfloat16 on a GPU and on a CPU with instructions for bfloat16;
-rl_games' own autocast has no effect on a CPU. Other CPUs (most laptops) emulate bfloat16, several
-times slower than float32, and LSTMs cannot use it there. `auto` measures on the CPU whether
+`mixed_precision: True` means bfloat16 on a GPU and on a CPU with instructions for bfloat16; The
+autocast of rl_games has no effect on a CPU. Other CPUs (most laptops) emulate bfloat16, which is
+several times slower than float32 and impossible for LSTMs. `auto` measures on the CPU whether
 bfloat16 is faster.
 """
 
@@ -20,7 +20,7 @@ from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 log = logging.getLogger(__name__)
 
-# The casts of autocast cost a part of the gain.
+# Least measured speed-up for bfloat16. The casts of autocast cost a fraction of the gain.
 _MIN_SPEEDUP = 1.3
 _CALIBRATION_ROWS = 1024
 _CALIBRATION_UNITS = 512
@@ -36,7 +36,7 @@ def resolve_mixed_precision(value: Any, device: str | torch.device) -> bool:
         device: device of the networks. `auto` means False on a GPU, as in published files.
 
     Raises:
-        ConfigError: `value` is something else.
+        ConfigError: `value` is not True, False or "auto".
     """
     on_cpu = torch.device(device).type == "cpu"
     if value is True and on_cpu and not supports_bfloat16():
@@ -65,14 +65,14 @@ def resolve_mixed_precision(value: Any, device: str | torch.device) -> bool:
 
 def supports_bfloat16() -> bool:
     """Return whether this CPU has instructions with which oneDNN computes in bfloat16."""
-    # oneDNN's layers make the same check; torch's public functions name instruction sets only.
+    # oneDNN's layers make the same check; torch's public functions only name instruction sets.
     return torch.backends.mkldnn.is_available() and bool(
         torch.ops.mkldnn._is_mkldnn_bf16_supported()
     )
 
 
 def measure_bfloat16_speedup() -> float:
-    """Return how many times faster a layer's forward and backward pass is in bfloat16."""
+    """Return a layer's time in float32, forwards and backwards, divided by its time in bfloat16."""
     # The measurement must not change the random numbers of the run.
     with torch.random.fork_rng(devices=[]):
         layer = torch.nn.Linear(_CALIBRATION_UNITS, _CALIBRATION_UNITS)
@@ -90,7 +90,8 @@ def measure_bfloat16_speedup() -> float:
     with one_torch_thread():  # the rollout evaluates the networks on one thread
         full()
         half()
-        # Taking turns and the best times reduces the influence of other work on the machine.
+        # Alternating measurements and their shortest times reduce the influence of other work on
+        # the machine.
         times = [(_time_s(full), _time_s(half)) for _ in range(_CALIBRATION_ROUNDS)]
     return min(full_s for full_s, _ in times) / min(half_s for _, half_s in times)
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 class RandomStream:
-    """Switches torch's CPU generator to the environment's own state, in a `with` statement.
+    """Switches torch's CPU generator to the state of an environment, in a `with` statement.
 
     Tasks and agents draw from the same generator of torch, but seeding an environment must not make
     the agent repeat its noise. Without a seed the environment uses the state of the process.
@@ -21,7 +21,7 @@ class RandomStream:
         self._others: Tensor | None = None
 
     def seed(self, seed: int) -> None:
-        """Start the environment's own sequence."""
+        """Start the random sequence of the environment from a seed."""
         self._own = torch.Generator().manual_seed(seed).get_state()
 
     def __enter__(self) -> RandomStream:

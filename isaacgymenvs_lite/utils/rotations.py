@@ -5,8 +5,8 @@ length unless a function says otherwise; angles are in rad. Functions accept flo
 tensors and return the same dtype. This module also converts between Isaac's order (x, y, z, w) and
 MuJoCo's order (w, x, y, z).
 
-Functions named `..._components` take and return one tensor or numpy array per component. They are
-several times as fast for callers that store components apart in memory.
+Functions named `..._components` take and return one tensor or numpy array per component. These
+functions are several times as fast for callers that store each component in separate memory.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-# The type of one component.
+# A tensor or array with one component of all quaternions or vectors.
 _Array = TypeVar("_Array", Tensor, npt.NDArray[Any])
 
 # A rotation vector with a smaller angle (rad) counts as the identity.
@@ -37,7 +37,7 @@ def wxyz_from_xyzw(q: Tensor) -> Tensor:
 
 
 def normalize(x: Tensor, eps: float = 1e-9) -> Tensor:
-    """Scale vectors (..., d) to unit length; vectors shorter than `eps` are divided by `eps`."""
+    """Scale vectors (..., d) to unit length; divide vectors shorter than `eps` by `eps`."""
     return x / x.norm(dim=-1, keepdim=True).clamp(min=eps)
 
 
@@ -117,7 +117,7 @@ def normalize_angle(angle: Tensor) -> Tensor:
 
 
 def quat_from_angle_axis(angle: Tensor, axis: Tensor) -> Tensor:
-    """Return the rotations (..., 4) by `angle` (...) rad about `axis` (..., 3), any length."""
+    """Return the rotations (..., 4) by `angle` (...) rad about `axis` (..., 3) of any length."""
     half = (angle / 2.0).unsqueeze(-1)
     return quat_unit(torch.cat((normalize(axis) * half.sin(), half.cos().expand_as(half)), dim=-1))
 
@@ -140,7 +140,7 @@ def quat_to_angle_axis(q: Tensor) -> tuple[Tensor, Tensor]:
 def quat_to_exp_map(q: Tensor) -> Tensor:
     """Return the rotation vectors (..., 3) of quaternions (..., 4), at most pi long.
 
-    A rotation vector is angle times axis of `quat_to_angle_axis`.
+    A rotation vector is the angle times the axis that `quat_to_angle_axis` returns.
     """
     w = q[..., 3:].clamp(-1.0, 1.0)
     sin_half = torch.sqrt((1.0 - w * w).clamp(min=0.0))
@@ -154,15 +154,15 @@ def angle_axis_to_exp_map(angle: Tensor, axis: Tensor) -> Tensor:
 
 
 def quat_log(q: Tensor) -> Tensor:
-    """Return the rotation vectors (..., 3) of quaternions (..., 4), exact for small rotations too.
+    """Return the rotation vectors (..., 3) of quaternions (..., 4), exact even for small rotations.
 
-    It differs from `quat_to_exp_map` by having no threshold and no acos. MuJoCo computes the length
+    Unlike `quat_to_exp_map`, this function has no threshold and no acos. MuJoCo computes the length
     of an actuator on a ball joint in the same way (`mju_quat2Vel`).
     """
     x, y, z, w = q.unbind(-1)
     # The clamp makes angle / sin_half finite at the identity, where its limit is 2.
     sin_half = torch.sqrt(x * x + y * y + z * z).clamp(min=1e-8)
-    # Moving the sign of w to the numerator of atan2 chooses the rotation of at most pi.
+    # Because the sign of w is in the numerator of atan2, the angle of the rotation is at most pi.
     angle = 2.0 * torch.atan2(torch.copysign(sin_half, w), w.abs())
     return q[..., :3] * (angle / sin_half).unsqueeze(-1)
 
@@ -171,10 +171,11 @@ def exp_map_to_angle_axis(exp_map: Tensor, keep_long: bool = False) -> tuple[Ten
     """Return angle (...) in [-pi, pi] and axis (..., 3) of rotation vectors (..., 3).
 
     The length is wrapped into (-pi, pi]. A wrapped angle of at most 1e-5 gives the angle 0 and the
-    axis (0, 0, 1). IsaacGymEnvs, and this function by default, compare the signed angle, so that a
-    vector between pi and 2 pi long gives the angle 0, too. ASE, and this function with `keep_long`,
-    compare the magnitude, so that this vector keeps its rotation. The rules are equal for vectors
-    of at most pi, as this project computes them from quaternions.
+    axis (0, 0, 1). By default this function compares the signed angle with 1e-5, as IsaacGymEnvs
+    does, so that a vector between pi and 2 pi long also gives the angle 0. With `keep_long` this
+    function compares the magnitude, as ASE does, so that such a vector keeps its rotation. Both
+    rules give the same result for vectors of at most pi, and this project's functions compute only
+    such vectors from quaternions.
     """
     length = exp_map.norm(dim=-1)
     angle = normalize_angle(length)
@@ -233,7 +234,7 @@ def tan_norm_components(q: Iterable[_Array]) -> tuple[_Array, ...]:
 
 
 def calc_heading(q: Tensor) -> Tensor:
-    """Return the heading (...) of rotations (..., 4), the angle of their x axis about world z."""
+    """Return the heading (...) of rotations (..., 4), the angle of the rotated x axis about z."""
     x, y, z, w = q.unbind(-1)
     return torch.atan2(2.0 * (x * y + w * z), 2.0 * (w * w + x * x) - 1.0)
 
@@ -257,20 +258,21 @@ def _about_z(angle: Tensor) -> Tensor:
 def rotate_about_z(cos: Tensor, sin: Tensor, v: Tensor) -> Tensor:
     """Rotate vectors v (..., 3) about world z by an angle given as its cosine and sine (...).
 
-    The result equals `quat_rotate` with a heading quaternion, for a quarter of the arithmetic.
+    The result equals that of `quat_rotate` with a heading quaternion and needs a quarter of the
+    arithmetic.
     """
     x, y, z = v.unbind(-1)
     return torch.stack((cos * x - sin * y, sin * x + cos * y, z.expand_as(x)), dim=-1)
 
 
 def slerp(a: Tensor, b: Tensor, t: Tensor) -> Tensor:
-    """Interpolate from a to b (..., 4) at t (..., 1) the shorter way, as AMP's motion library.
+    """Interpolate from a to b (..., 4) at t (..., 1) the shorter way, as AMP's motion library does.
 
     Nearly equal rotations (sine of the angle below 0.001) give the mean (a + b) / 2 for any t. A
-    value of t outside [0, 1] extrapolates. Both rules are the original's.
+    value of t outside [0, 1] extrapolates. AMP's motion library has both rules.
     """
-    # The original sums with w first. The order matters to nearly equal rotations, because the last
-    # bit decides which rule applies.
+    # AMP's motion library adds the products of components in the order w, x, y, z. For nearly equal
+    # rotations the order matters, because the last bit of the sum decides which rule applies.
     products = a * b
     cos = products[..., 3:] + products[..., 0:1] + products[..., 1:2] + products[..., 2:3]
     sign = torch.ones_like(cos).masked_fill(cos < 0.0, -1.0)
@@ -345,8 +347,9 @@ def quat_to_matrix(q: Tensor) -> Tensor:
 def matrix_to_quat(matrix: Tensor) -> Tensor:
     """Return the quaternions (..., 4) of rotation matrices (..., 3, 3).
 
-    The largest component of the result is positive. It comes from the diagonal, and the others are
-    divided by it (Shepperd 1978), so that the divisor is never small.
+    The largest component of the result is positive. It is computed from the diagonal, and the
+    divisor of all other components is this largest component (Shepperd 1978), so that the divisor
+    is never small.
 
     Raises:
         ValueError: the last two dimensions are not 3 and 3.

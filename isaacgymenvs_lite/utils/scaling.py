@@ -1,4 +1,4 @@
-"""Scales values between given limits and the range from -1 to 1."""
+"""Converts values between ranges with given limits and the range from -1 to 1."""
 
 from __future__ import annotations
 

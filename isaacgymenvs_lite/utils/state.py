@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 State = Any
-"""Tensors, numbers, None and texts in lists and dictionaries; a checkpoint holds nothing else."""
+"""The content of a checkpoint: tensors, numbers, None and texts in lists and dictionaries."""
 
 _NOTHING = object()
 _NUMBERS = (bool, int, float)
@@ -22,12 +22,13 @@ class Stateful:
     """Mixin: `state_dict()` returns an object's state, `load_state_dict()` restores it.
 
     The state consists of the attributes that are tensors, arrays, numbers, None, generators,
-    objects with these two methods, or lists, tuples and dictionaries of them. Other attributes keep
-    the values that `__init__` gave them.
+    objects with these two methods, or lists, tuples and dictionaries of such values. Other
+    attributes keep the values that `__init__` gave them.
 
     Attributes:
-        stored: names of the attributes to store; None for all.
-        not_stored: names of the attributes to leave out; the names in base classes are added.
+        stored: names of the attributes to store; None means all attributes.
+        not_stored: names of the attributes that are not stored, in addition to those that base
+            classes name.
     """
 
     stored: ClassVar[tuple[str, ...] | None] = None
@@ -39,7 +40,7 @@ class Stateful:
         return {name: part for name, part in parts.items() if part is not _NOTHING}
 
     def load_state_dict(self, state: dict[str, State]) -> None:
-        """Restore the state of an object that was constructed alike.
+        """Restore the state of an object that was constructed with the same arguments.
 
         Tensors of the same shape are written in place, so that views remain views.
 
@@ -47,14 +48,14 @@ class Stateful:
             AttributeError, KeyError, RuntimeError, TypeError, ValueError: the state does not fit.
         """
         own = (value.device for value in vars(self).values() if isinstance(value, Tensor))
-        device = next(own, torch.device("cpu"))  # for tensors that do not exist yet
+        device = next(own, torch.device("cpu"))  # device of tensors that do not exist yet
         for name, part in state.items():
             if not self._is_stored(name):
                 raise ValueError(f"{type(self).__name__}.{name} is not stored")
             setattr(self, name, write_state(getattr(self, name, None), part, device))
         for name, part in state.items():
             value = getattr(self, name)
-            # Two names of one tensor may have become two tensors.
+            # Two attributes that were the same tensor may have become two tensors.
             if isinstance(value, Tensor) and not _is_equal(value, part):
                 setattr(self, name, part.to(value.device))
 
@@ -96,8 +97,8 @@ def write_state(value: Any, state: State, device: torch.device | str) -> Any:
     """Write a state into a value where possible, and return the restored value.
 
     Args:
-        value: a value of the same type as the value that was read. If it is None and the state is
-            a tuple, the attribute is a cache and stays None.
+        value: a value of the same type as the value that was read. If `value` is None and the state
+            is a tuple, `value` is a cache and stays None.
         state: the result of `read_state`.
         device: device of tensors that do not exist yet.
 

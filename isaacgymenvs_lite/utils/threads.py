@@ -1,12 +1,13 @@
 """Chooses the numbers of threads of the physics, the networks and the tensor operations.
 
-`train.py` uses the key `num_threads` for all three. They do not compete for CPUs, because they
-never run at the same time.
+`train.py` uses the key `num_threads` for all three. Physics, networks and tensor operations do not
+compete for CPUs, because they never run at the same time.
 
-Other trainers use torch's own threads, which synchronise after every operation. This costs more
-than it saves for few rows. On a busy machine each synchronisation also waits for a thread that the
-system has suspended. torch is therefore limited to fewer threads while a small task is open
-(`limit_torch_threads`). docs/speed.md has the measurements.
+Other trainers use torch's default number of threads. The threads synchronise after every operation,
+which costs more time than the threads save if a tensor has few rows. On a busy machine each
+synchronisation also waits for a thread that the system has suspended. torch is therefore limited to
+fewer threads while a small task is open (`limit_torch_threads`). docs/speed.md has the
+measurements.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from isaacgymenvs_lite.utils.openmp import threads_spin
 
 log = logging.getLogger(__name__)
 
-# A second thread saves time on an idle machine if the work is twice as much.
+# Least work for a second thread. On an idle machine a second thread saves time from twice this work
+# on.
 _ENVS_PER_THREAD = 256
 _PRODUCTS_PER_THREAD = 20_000_000
 # Users choose the number of threads by these environment variables.
@@ -32,7 +34,7 @@ _COUNTS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def thread_count(num_threads: int = 0) -> int:
-    """Return `num_threads`, or for 0 the number of CPUs that this process may use.
+    """Return `num_threads`, or the number of CPUs that this process may use if `num_threads` is 0.
 
     Processes that torchrun has started on one machine share its CPUs.
     """
@@ -45,10 +47,11 @@ def thread_count(num_threads: int = 0) -> int:
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Run torch's CPU operations on the calling thread only.
+    """Run torch's CPU operations only on the calling thread.
 
     Waking a second thread costs more than it saves for a task's small tensors: the observations of
-    1,024 humanoids take half the time on one thread. The physics threads also need the CPUs.
+    1,024 humanoids take half the time on one thread. The CPUs are also needed by the threads of the
+    physics.
     """
     before = torch.get_num_threads()
     if before == 1:
@@ -81,18 +84,18 @@ def threads_for_products(products: int) -> int:
 def limit_torch_threads(task: Any, most: int, num_threads: int = 0) -> None:
     """Limit torch's threads until `task` is closed.
 
-    The number of threads belongs to the process. It is changed with one line in the log and
-    restored when the last task is closed. The highest limit counts if several tasks are open. The
-    number is not changed
+    The number of threads belongs to the process. The change is logged in one line, and the number
+    is restored when the last task is closed. If several tasks are open, the highest limit counts.
+    The number is not changed
 
     - if OMP_NUM_THREADS or MKL_NUM_THREADS is set, unless `num_threads` is set,
-    - if torch's number is not its default, unless `num_threads` is set, and
+    - if torch's number of threads is not the default, unless `num_threads` is set, and
     - after a call of `torch.set_num_threads` while a task is open.
 
     Args:
-        task: owner of the limit; a second call replaces its limit.
+        task: owner of the limit; a second call for the same task replaces the limit.
         most: see `threads_for_envs` and `threads_for_products`.
-        num_threads: value of the key; unless it is 0 it replaces `most`.
+        num_threads: value of the key `num_threads`; a value above 0 replaces `most`.
     """
     torch_threads.add(task, num_threads or most, is_chosen=num_threads > 0)
 
@@ -116,10 +119,10 @@ class TorchThreads:
     """The limits of torch's number of threads; the process has one object of this class.
 
     Attributes:
-        limits: limit of each open task, by the task's id.
-        before: torch's number without limits; None while there are no limits.
-        given: the number that was set last.
-        held_off: how many trainers currently set the number themselves.
+        limits: maps the id of each open task to the limit of the task.
+        before: torch's number of threads without limits, or None while there are no limits.
+        given: the number of threads that this object set last.
+        held_off: how many trainers currently set the number of threads instead of this object.
     """
 
     def __init__(self) -> None:
@@ -129,7 +132,7 @@ class TorchThreads:
         self._has_warned = False
 
     def add(self, task: Any, most: int, is_chosen: bool = False) -> None:
-        """Set a task's limit; `is_chosen` means that it overrides the user's other settings."""
+        """Set a task's limit; if `is_chosen`, the limit overrides the user's other settings."""
         if self.held_off:
             return
         if not self.limits:
@@ -153,7 +156,7 @@ class TorchThreads:
         if before is None:
             return
         if torch.get_num_threads() != self.given:
-            self.before = None  # somebody else has set the number, which stays
+            self.before = None  # other code has set the number, so it stays
         else:
             self.given = min(before, max(self.limits.values(), default=before))
             torch.set_num_threads(self.given)

@@ -11,7 +11,7 @@ from isaacgymenvs_lite.errors import ConfigError, one_line
 
 
 def load_yaml(path: Path) -> Any:
-    """Return the content of a YAML file, None for an empty file; the last of equal keys counts.
+    """Return the content of a YAML file, or None if it is empty; the last of equal keys counts.
 
     Raises:
         ConfigError: the file is missing or is not valid YAML.
