@@ -34,27 +34,29 @@ def make(
     force_render: bool = True,
     cfg: DictConfig | None = None,
 ) -> VecTask:
-    """Make a task; names and order of the arguments are IsaacGymEnvs', all have a default.
+    """Make a task; IsaacGymEnvs has the same arguments in the same order. All have defaults.
 
-    torch computes on fewer threads while a task of few environments is open, and logs it; see
-    `isaacgymenvs_lite.utils.threads`.
+    While a task of few environments is open, torch computes on fewer threads, which the log
+    reports; see `isaacgymenvs_lite.utils.threads`.
 
     Args:
-        seed: seed for Python, numpy and torch; -1 draws one.
+        seed: seed for Python, numpy and torch; -1 means that a seed is drawn.
         task: name of a task file in cfg/task.
-        num_envs: number of environments; '' means the task file's number.
+        num_envs: number of environments; '' means the number in the task file.
         sim_device: has no effect, because the physics runs on the CPU; the log says so.
         rl_device: torch device of the tensors that `step` and `reset` return.
         graphics_device_id: index of the rendering device.
-        headless: whether to open no window. With False the program ends with its window.
+        headless: whether no window is opened. If a window is opened, closing it ends the program.
         multi_gpu: has no effect on a task.
         virtual_screen_capture: whether `render()` returns pictures. No window is opened then, and
             no display is needed.
-        force_render: whether the window shows every step, not only the calls of `render`.
-        cfg: a composed tree, which replaces task, num_envs and seed; `cfg.task.name` is the task.
+        force_render: whether the window shows every step; otherwise it shows only the calls of
+            `render`.
+        cfg: a composed tree, which replaces task, num_envs and seed; `cfg.task.name` names the
+            task.
 
     Returns:
-        The task; call `close()` when done.
+        The task; the caller must call `close()` on the task in the end.
 
     Raises:
         ConfigError: a task, key or value is unknown.
@@ -80,9 +82,9 @@ def make(
 
 
 def register_task(name: str, task: Callable[..., VecTask], *, replace: bool = False) -> None:
-    """Register your own task for `name: <name>` of a task file; see docs/own_task.md.
+    """Register a user's task under the `name:` that task files use; see docs/own_task.md.
 
-    Its name in Gymnasium is `IsaacGymEnvsLite/<name>-v0`.
+    The task's name in Gymnasium is `IsaacGymEnvsLite/<name>-v0`.
 
     Args:
         name: the task's name in task files.

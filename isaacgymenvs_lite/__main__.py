@@ -31,21 +31,22 @@ COMMANDS = {
     "workflows": "workflows",
     "alias": "commands.alias",
 }
-"""The module of each command, in the order in which users need the commands."""
+"""Maps each command to its module, in the order in which users need the commands."""
 PLAY = "Plays a policy: checkpoint=last, a file, or the name of a shipped policy"
 DOORS = tuple(
     f"workflows.{library}.{verb}"
     for library in ("sb3", "skrl", "rsl_rl")
     for verb in ("train", "play")
 )
-"""Scripts named like Isaac Lab's. --help omits them, because `workflows` does the same."""
+"""Scripts that have the names of Isaac Lab's scripts. --help omits these scripts, because
+`workflows` does the same."""
 _HELP = ("-h", "--help", "help")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command, or print the list of commands; return the exit code.
 
-    The command's module runs as the main program, like with `python -m`, and exits itself.
+    The command's module runs as the main program, as with `python -m`, and may end the process.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in _HELP:
@@ -72,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def words_of_play(words: Sequence[str]) -> list[str]:
-    """Return the words of `train` that play a policy, by default the newest one."""
+    """Return the arguments of `train` that play a policy, by default the newest policy."""
     asks_for_help = any(word in _HELP for word in words)
     named = any(word.startswith("checkpoint=") for word in words)
     checkpoint = [] if named or asks_for_help else ["checkpoint=last"]
@@ -80,7 +81,7 @@ def words_of_play(words: Sequence[str]) -> list[str]:
 
 
 def overview() -> str:
-    """Return a line for each command."""
+    """Return a text with a line for each command."""
     lines = [
         f"isaacgymenvs_lite {__version__}: {CONSOLE_SCRIPT} COMMAND, with --help for more",
         "",

@@ -30,7 +30,7 @@ T = TypeVar("T", bound="DataclassInstance")
 
 
 class EscapingFormatter(logging.Formatter):
-    """Escapes control characters, which the name of a stranger's folder may contain."""
+    """Escapes control characters in messages; the name of a stranger's folder may contain them."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the message."""
@@ -57,17 +57,18 @@ def run_command(
     arguments: Sequence[str] | None = None,
     words: argparse.Namespace | None = None,
 ) -> int:
-    """Read `key=value` words into settings and call `action` with them; return the exit code.
+    """Read `key=value` arguments into settings, call `action(settings)` and return the exit code.
 
     The messages of the log go to stderr. The exit code is 2 after a user's mistake and 130 after
     Ctrl-C.
 
     Args:
-        parser: may have its own options and words; the settings are added to them.
+        parser: a parser that may have other options and arguments; `key=value` arguments are added
+            to it.
         cls: a dataclass, see `schema.setting`.
         action: receives the settings.
-        arguments: the words after the program's name; None means `sys.argv`.
-        words: receives the parser's own options and words before the action runs.
+        arguments: the arguments after the program's name; None means those in `sys.argv`.
+        words: receives the parser's other options and arguments before the action runs.
     """
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("settings", nargs="*", default=[], metavar="key=value")

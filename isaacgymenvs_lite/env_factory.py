@@ -86,7 +86,7 @@ def make_task(
     config = read_config(cfg)
     settings = config.settings
     seed_everything(resolve_seed(settings.seed, settings.torch_deterministic))
-    # Capturing frames needs no display, unlike in Isaac Gym.
+    # Capturing frames needs no display, although it needs one in Isaac Gym.
     opens_window = not headless and not virtual_screen_capture
     if opens_window:
         check_display()
@@ -102,16 +102,17 @@ def make_task(
         force_render=force_render,
     )
     if opens_window:
-        # The program ends with its window, as in Isaac Gym.
+        # The program ends when its window is closed, as in Isaac Gym.
         env.listeners.append(Window(env, Path("videos"), sys.exit, every_step=force_render))
     limit_torch_threads(env, threads_for_envs(env.num_envs), settings.num_threads)
     return env
 
 
 def _with_checkout(cfg: DictConfig) -> DictConfig:
-    """Add the task file's checkout to a tree that another project's script composed.
+    """Add the checkout of the task file to a tree that a script of another project composed.
 
-    Such a tree lacks the key `task_checkout`, and its task file names clips in its own checkout.
+    The tree lacks the key `task_checkout`, and its task file names clips in the checkout of the
+    file.
     """
     if CHECKOUT_KEY in cfg or not HydraConfig.initialized():
         return cfg
@@ -136,7 +137,7 @@ def make_from_config(
     virtual_screen_capture: bool = False,
     force_render: bool = False,
 ) -> VecTask:
-    """Make the task of a tree, which may be resolved or as it was composed.
+    """Make the task of a composed tree, whose interpolations may be resolved or not.
 
     Raises:
         ConfigError: `cfg.task.name` is unknown, or a key or value of the task is wrong.
@@ -157,7 +158,7 @@ def make_from_config(
         force_render=force_render,
     )
     if limit := select(tree, ISAAC_LAB_ACTIONS):
-        # rl_games scales actions to this space, as under Isaac Lab's wrapper.
+        # rl_games scales actions to the limits of this space, as it does with Isaac Lab's wrapper.
         task.act_space = gymnasium.spaces.Box(-limit, limit, task.act_space.shape, np.float32)
     return task
 
@@ -167,7 +168,7 @@ def model_of_recording(file: Path, words: Sequence[str]) -> mujoco.MjModel:
 
     Args:
         file: `<run>/diverged/<name>.npz`.
-        words: settings such as `["task=Ant", "task.sim.dt=0.02"]`; without them the run's
+        words: settings such as `["task=Ant", "task.sim.dt=0.02"]`; if there are none, the run's
             config.yaml is read.
 
     Raises:
@@ -191,7 +192,7 @@ def model_of_recording(file: Path, words: Sequence[str]) -> mujoco.MjModel:
 
 
 def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:
-    """Replace the names of clip and model in `task.env` by their paths, in place.
+    """Replace the names of clip and model in the section `task.env` by paths, in place.
 
     The search covers the working folder, the checkout of the task file, and this project's files.
 
@@ -215,7 +216,7 @@ def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:
 
 
 def _of_sword_humanoid(env: dict[str, Any], checkout: Path) -> str:
-    """Return a hint for a missing clip of ASE's armed humanoid; '' for other models."""
+    """Return a hint for a missing clip if the model is ASE's humanoid with a sword, else ''."""
     asset = env.get("asset")
     model = str(asset.get("assetFileName")) if isinstance(asset, dict) else ""
     if Path(model).name != "amp_humanoid_sword_shield.xml":
@@ -232,7 +233,7 @@ def _of_sword_humanoid(env: dict[str, Any], checkout: Path) -> str:
 def _folder_of_model(
     asset: dict[str, Any], checkout: Path, published: Collection[str]
 ) -> Path | None:
-    """Return the folder of a model in a checkout, None for this project's models."""
+    """Return the folder of a model in a checkout, or None for a model of this project."""
     name, root = asset["assetFileName"], str(asset.get("assetRoot") or "")
     # Path.is_file would raise for a name that is too long.
     ours = not name or os.path.isfile(assets_dir() / name) or name in published
@@ -257,7 +258,7 @@ def seed_everything(seed: int, torch_deterministic: bool = False) -> None:
     torch.cuda.manual_seed_all(seed)
     if torch_deterministic:
         torch.use_deterministic_algorithms(True)
-        # Filling every new tensor would take a twentieth of a training's time.
+        # Filling new tensors (torch's default in this mode) takes a twentieth of a training's time.
         _DETERMINISM.fill_uninitialized_memory = False
         torch.backends.cudnn.benchmark = False
         torch.backends.cudnn.deterministic = True
@@ -265,7 +266,7 @@ def seed_everything(seed: int, torch_deterministic: bool = False) -> None:
 
 @contextmanager
 def torch_settings_kept() -> Iterator[None]:
-    """Restore the settings of torch that `seed_everything` and rl_games change.
+    """At the end restore the settings of torch that `seed_everything` and rl_games change.
 
     The state of the random generators is not restored.
     """

@@ -1,7 +1,8 @@
 """Protocols for the members of a task that agents, players and measurements use.
 
-A task of another project fits if it has these members; it needs no base class of this project.
-`require` checks them once, when an agent or a player is made. N is the number of environments.
+A task of another project can be used if it has these members; it needs no base class of this
+project. `require` checks the members once, when an agent or a player is made. N is the number of
+environments.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from isaacgymenvs_lite.motion.motion_lib import MotionLib
 class StepListener(Protocol):
     """An entry of `VecTask.listeners`, for example a video writer or a window.
 
-    A listener does not change the task, except that a viewer passes keys to `on_key`. A player goes
-    on after its last episode if a listener has a true attribute `keeps_playing`.
+    A listener does not change the task, except that a viewer passes pressed keys to the task's
+    `on_key`. If a listener has an attribute `keeps_playing` that is true, a player continues after
+    its last episode.
     """
 
     def after_step(self) -> None:
@@ -31,7 +33,7 @@ class StepListener(Protocol):
         """Render the current state when `VecTask.render` is called."""
 
     def close(self) -> None:
-        """Finish and release everything; a second call does nothing."""
+        """Finish all files and release all resources; a second call does nothing."""
 
 
 class Env(Protocol):
@@ -48,7 +50,7 @@ class Env(Protocol):
         ...
 
     def reset_done(self) -> tuple[dict[str, Tensor], Tensor]:
-        """Reset the environments whose episodes ended; return observations, and ids (n,)."""
+        """Reset the environments whose episodes ended; return observations, and these ids (n,)."""
         ...
 
     def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, dict[str, Any]]:
@@ -67,11 +69,11 @@ class AMPObsEnv(Protocol):
 
 
 class AMPEnv(AMPObsEnv, Protocol):
-    """A task that AMP can learn, because it also has reference motions.
+    """A task that AMP can learn; in addition to AMP observations it has reference motions.
 
     `infos["terminate"]` (N,) is 1 where an episode ended by a failure. The optional
-    `infos["off_clip"]` (N,) bool is true where an episode failed because its motion left the clip,
-    not because of a fall.
+    `infos["off_clip"]` (N,) bool is true where the failure was a motion that left the clip, and
+    false where the failure was a fall.
     """
 
     def fetch_amp_obs_demo(self, num_samples: int) -> Tensor:
@@ -81,12 +83,12 @@ class AMPEnv(AMPObsEnv, Protocol):
 
 @dataclass(frozen=True)
 class TrackingDemo:
-    """Moments of the reference motions from which the actor learns.
+    """Observations at n times of the reference motions, with actions for the actor to learn.
 
     Attributes:
         obs: (n, O) observations.
         actions: (n, A) actions within +-1 with which the drives follow the clips.
-        amp_obs: (n, F) AMP observations of the same moments.
+        amp_obs: (n, F) AMP observations at the same times.
     """
 
     obs: Tensor
@@ -95,12 +97,12 @@ class TrackingDemo:
 
 
 class TrackingEnv(AMPEnv, Protocol):
-    """A task that gives actions along its reference motions, for a warm start."""
+    """A task that gives actions along its reference motions, with which a training can begin."""
 
     def fetch_tracking_demo(self, num_samples: int, with_goal: bool = True) -> TrackingDemo | None:
-        """Return n moments, None if they are unknown; the caller resets all episodes afterwards.
+        """Return a demonstration, or None if unknown; the caller must then reset all episodes.
 
-        Observations without the goal lack their last `get_task_obs_size()` entries.
+        If `with_goal` is False, observations lack their last `get_task_obs_size()` entries.
         """
         ...
 
@@ -114,19 +116,19 @@ class SkillEnv(AMPEnv, Protocol):
 
 
 class ClipSkillEnv(SkillEnv, Protocol):
-    """A task for skills that are encoded from its reference motions."""
+    """A task for skills whose latents an encoder computes from the reference motions."""
 
     def amp_obs_of(self, env_ids: Tensor) -> Tensor:
         """Return the current AMP observations (n, F) of environments (n,)."""
         ...
 
     def fetch_amp_obs_demo_pairs(self, num_samples: int) -> Tensor:
-        """Return AMP observations (num_samples, 2, F) of pairs of moments of the same clip."""
+        """Return AMP observations (num_samples, 2, F) at pairs of times in the same clip."""
         ...
 
 
 class ClipKeepingEnv(ClipSkillEnv, Protocol):
-    """A task that can end episodes that leave their clip."""
+    """A task that can end those episodes whose motion leaves their clip."""
 
     def keep_to_clips(self, env_ids: Tensor) -> None:
         """Let episodes (n,) that started in a clip fail as soon as they leave it."""
@@ -136,7 +138,7 @@ class ClipKeepingEnv(ClipSkillEnv, Protocol):
 
 
 class ClipWindowsEnv(AMPObsEnv, Protocol):
-    """A task with whose reference motions `SkillProbe` compares the motions of a policy."""
+    """A task whose reference motions `SkillProbe` compares with the motions of a policy."""
 
     num_amp_obs_steps: int
     """Control steps of an AMP observation."""
@@ -146,7 +148,7 @@ class ClipWindowsEnv(AMPObsEnv, Protocol):
     """The reference motions."""
 
     def windows_of_clips(self) -> list[Tensor]:
-        """Return the AMP observations (n, F) along each clip."""
+        """Return for each clip the AMP observations (n, F) at its steps."""
         ...
 
 
@@ -156,7 +158,7 @@ class HierarchyEnv(AMPObsEnv, Protocol):
     observation_space: gymnasium.spaces.Box
     """Shape (O,) of an observation, including the task's features."""
     action_space: gymnasium.spaces.Box
-    """Shape (A,) and limits of the low-level controller's actions."""
+    """The space of the low-level controller's actions: shape (A,) and limits."""
     reset_buf: Tensor
     """(N,) 1 where the next `reset_done` starts a new episode; the agent writes into it."""
 
@@ -170,7 +172,8 @@ def failures(dones: Tensor, infos: dict[str, Any]) -> Tensor:
 
     Args:
         dones: (N,) 1 where an episode ended.
-        infos: the step's infos; without `terminate` and `time_outs` (N,) every end is a failure.
+        infos: the step's infos. If they lack `terminate` and `time_outs` (N,), every end is a
+            failure.
     """
     if "terminate" in infos:
         return infos["terminate"].to(dones.device)
@@ -180,16 +183,16 @@ def failures(dones: Tensor, infos: dict[str, Any]) -> Tensor:
 
 
 def goal_size(env: Any) -> int:
-    """Return the number of goal entries at the end of an observation; 0 without a goal."""
+    """Return the number of goal entries at the end of an observation; a task without goal has 0."""
     size_of = getattr(env, "get_task_obs_size", None)
     return 0 if size_of is None else int(size_of())
 
 
 class GoalEnv(Env, Protocol):
-    """A task that measures the errors of its goal."""
+    """A task that measures how far the character misses its goal."""
 
     def goal_errors(self) -> dict[str, Tensor]:
-        """Return the last step's errors (N,) by name, for example `velocity_error_m_s`."""
+        """Map names, for example `velocity_error_m_s`, to errors (N,) in the last step."""
         ...
 
 
@@ -211,8 +214,9 @@ class BodyStates(Protocol):
 class ReferenceEnv(Env, Protocol):
     """A task whose motion is compared with its reference motions.
 
-    The optional attribute `clip_starts_s` (N,) belongs to a task whose episodes end with its only
-    clip: it has the clip's times in s at which the episodes started. Otherwise it is None.
+    If a task has only one clip and its episodes end with the clip, the optional attribute
+    `clip_starts_s` (N,) has the times (s) in the clip at which the episodes started. Otherwise
+    `clip_starts_s` is None.
     """
 
     motion_lib: MotionLib
@@ -220,7 +224,7 @@ class ReferenceEnv(Env, Protocol):
     simulation: BodyStates
     """The simulated bodies."""
     dt: float
-    """Seconds of a control step."""
+    """Duration of a control step in s."""
     max_episode_length: int
     """Control steps of the longest episode."""
     device: str | torch.device
@@ -231,7 +235,7 @@ E = TypeVar("E")
 
 
 def diverged_in(infos: Any, device: Any) -> Tensor | None:
-    """Return where the simulation diverged in a step, (N,) bool on `device`; None if nowhere.
+    """Return whether each simulation diverged in a step, (N,) bool, or None if none diverged.
 
     Args:
         infos: the step's infos; some tasks have `diverged` (N,) bool.
@@ -244,12 +248,12 @@ def diverged_in(infos: Any, device: Any) -> Tensor | None:
 
 
 def reports_divergence(diverged: Any) -> TypeGuard[Tensor]:
-    """Return whether an info `diverged` has `VecTask`'s type; a task may have another meaning."""
+    """Return whether an info `diverged` has the type of `VecTask`; other types are ignored."""
     return isinstance(diverged, Tensor) and diverged.ndim == 1 and diverged.dtype == torch.bool
 
 
 def fits(env: object, contract: type[E]) -> TypeGuard[E]:
-    """Return whether `env` has all members of a Protocol of this module."""
+    """Return whether `env` has all members of `contract`, a Protocol of this module."""
     return not _missing_members(env, contract)
 
 
@@ -266,7 +270,8 @@ def require(env: Any, contract: type[E], user: str) -> E:
     Args:
         env: the task.
         contract: the Protocol.
-        user: the name of the object that needs the task, for the message: `StyleReward`.
+        user: the name of the object that needs the task, for example `StyleReward`, for the
+            message.
 
     Raises:
         ConfigError: members are missing; the message names them.

@@ -1,8 +1,8 @@
 """Errors for users, one line each.
 
 A mistake on the command line, in a YAML file or in an input file raises a `UserError`. Commands
-print its message on one line and exit with code 2; a program can catch it like any exception. A
-message says what was given, what was expected and what to do next.
+print the message of the error on one line and exit with code 2; a program can catch the error like
+any exception. A message says what was given, what was expected and what to do next.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import difflib
 from collections.abc import Iterable, Sequence
 
 MAX_MESSAGE = 2000
-"""Largest number of characters of a message. A longer message loses its middle, because the file or
-the key stands at the beginning and the next step at the end."""
+"""Largest number of characters of a message. The middle of a longer message is cut out, because its
+beginning names the file or the key and its end names what to do next."""
 _KEPT_END = 160
 EXIT_USER_ERROR = 2
 """Exit status of every command after a user's mistake."""
@@ -23,8 +23,8 @@ EXIT_INTERRUPTED = 130
 class UserError(Exception):
     """Base of all errors that a user can cause and mend.
 
-    The message may quote a stranger's file. It is therefore printed on one line, without control
-    characters, which could change a terminal, and has at most `MAX_MESSAGE` characters.
+    The message may quote a stranger's file. Therefore the printed message is one line of at most
+    `MAX_MESSAGE` characters without control characters, which could change the state of a terminal.
     """
 
     def __str__(self) -> str:
@@ -53,11 +53,11 @@ class CheckpointError(UserError, ValueError):
 
 
 class NotFiniteError(UserError, ArithmeticError):
-    """Values of a training are NaN or infinite, so that it cannot go on."""
+    """Values of a training are NaN or infinite, so that the training cannot continue."""
 
 
 class JobError(UserError):
-    """A job of a sweep has failed; the message is the reason.
+    """A job of a sweep has failed; the message gives the reason.
 
     The message is the only argument, so that the error can be pickled.
     """
@@ -71,7 +71,7 @@ class StoppedAtOnceError(KeyboardInterrupt):
     """The user ended a training in the middle of an epoch, with a second Ctrl-C or SIGTERM.
 
     Attributes:
-        exit_status: exit status of the process, as shells expect it after this signal.
+        exit_status: the exit status of the process that shells expect after this signal.
     """
 
     def __init__(self, signal_number: int) -> None:
@@ -92,11 +92,11 @@ class WrapperError(UserError, TypeError):
 
 
 class OverrideError(UserError, AttributeError):
-    """A subclass defines a member that nothing here uses, or sets a member that is read-only."""
+    """A subclass defines a member that this project never uses, or sets a read-only member."""
 
 
 class MissingPackageError(UserError, ImportError):
-    """A package is not installed; one of our extras installs it."""
+    """An optional package is not installed; an extra of this project installs it."""
 
 
 class UnavailableError(UserError, NotImplementedError):
@@ -116,13 +116,13 @@ def one_line(error: BaseException | str) -> str:
 
 
 def listed(names: Sequence[str], most: int = 8) -> str:
-    """Return the first names and the number of the others."""
+    """Return a text with the first `most` names and the number of further names."""
     shown = ", ".join(names[:most]) or "none"
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def suggest(given: str, choices: Iterable[str]) -> str:
-    """Return " (did you mean 'x'?)" for the nearest of `choices`, or "" if none is near."""
+    """Return " (did you mean 'x'?)" for the most similar of `choices`, or "" if none is similar."""
     names = [str(choice) for choice in choices]
     near = [name for name in names if name.lower() == str(given).lower()]
     near = near or difflib.get_close_matches(str(given), names, n=1)

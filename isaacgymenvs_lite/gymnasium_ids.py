@@ -1,12 +1,12 @@
 """Registers the tasks with Gymnasium: `IsaacGymEnvsLite/Cartpole-v0`, `Isaac-Ant-v0`.
 
-The names `Isaac-...` are Isaac Lab's, for its scripts: `gymnasium.make` then returns one object for
-all environments of a task, as in Isaac Lab.
+The names `Isaac-...` are those of Isaac Lab, so that its scripts find the tasks. With such a name
+`gymnasium.make` returns one object for all environments of a task, as in Isaac Lab.
 
 `import isaacgymenvs_lite` does not import Gymnasium, because that takes longer than everything else
 before a user's mistake is reported. The tasks are registered at once if Gymnasium has been
-imported, otherwise right after its import. Tasks are not imported: Gymnasium's registry contains
-the names of the functions that make them.
+imported, otherwise right after its import. Registering does not import the tasks: Gymnasium's
+registry contains the names of the functions that make tasks.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NAMESPACE = "IsaacGymEnvsLite"
 ENTRY_POINTS = "isaacgymenvs_lite.tasks"
 """Group of entry points through which an installed package offers its tasks."""
 
-# Isaac Lab has each of these tasks in both of its workflows.
+# Isaac Lab has two versions of each of these tasks, one for each of its two workflows.
 _ISAAC_LAB_IDS = {
     f"Isaac-{task}{workflow}-v0": task
     for task in ("Ant", "Cartpole", "Humanoid")
@@ -40,18 +40,18 @@ _waiting: list[str] = []
 
 
 def env_id(task: str) -> str:
-    """Return Gymnasium's name of a task: `IsaacGymEnvsLite/Cartpole-v0`."""
+    """Return a task's name in Gymnasium, for example `IsaacGymEnvsLite/Cartpole-v0`."""
     return f"{NAMESPACE}/{task}-v0"
 
 
 def task_of_id(name: str) -> str:
-    """Return the task of a name in Gymnasium's registry; any other name is returned unchanged."""
+    """Return the task that a name in Gymnasium's registry means; return other names unchanged."""
     match = re.fullmatch(rf"{NAMESPACE}/(.+)-v\d+", name)
     return match[1] if match else _ISAAC_LAB_IDS.get(name, name)
 
 
 def register_tasks() -> None:
-    """Register our tasks and those of installed packages, now or after Gymnasium's import."""
+    """Register the tasks of this and of installed packages, now or after Gymnasium's import."""
     if _REGISTRY in sys.modules:
         _register_all()
     else:
@@ -67,7 +67,7 @@ def register_task_id(task: str) -> None:
 
 
 def _register_all() -> None:
-    from importlib.metadata import entry_points  # slower to import than this whole package
+    from importlib.metadata import entry_points  # its import is slower than that of this package
 
     from gymnasium.envs.registration import register, registry
 
@@ -90,7 +90,7 @@ def _register_all() -> None:
 def _register(task: str) -> None:
     from gymnasium.envs.registration import register, registry
 
-    # Gymnasium refuses other names; isaacgymenvs_lite.make accepts them.
+    # Gymnasium refuses names of another form, which isaacgymenvs_lite.make accepts.
     if env_id(task) in registry or not re.fullmatch(r"[\w.:-]+", task):
         return
     register(
@@ -117,7 +117,7 @@ class _WhenImported(MetaPathFinder):
 
 
 class _ThenRegister(Loader):
-    """Runs a module's own loader, then registers the tasks."""
+    """Runs the usual loader of a module, then registers the tasks."""
 
     def __init__(self, loader: Loader) -> None:
         self._loader = loader

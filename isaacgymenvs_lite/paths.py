@@ -1,7 +1,7 @@
 """Finds the folders of the configuration and of the assets, and reads paths that a user gives.
 
-The folders are `<repository>/cfg` and `<repository>/assets` in a checkout; an installed wheel has
-them inside the package. They do not depend on the working directory.
+The folders are `<repository>/cfg` and `<repository>/assets` in a checkout; in an installed wheel
+both folders are inside the package. The folders do not depend on the working directory.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _PACKAGE_DIR = Path(__file__).resolve().parent
 
 
 PARTS = ("Classic", "HumanoidRandomization", "RobotRandomization", "ClassicPPO", "ClassicSAC")
-"""Files of cfg/ that only other files include."""
+"""Files of cfg/ that exist only to be included by other files."""
 
 
 def cfg_dir() -> Path:
@@ -34,7 +34,7 @@ def shipped_policies_dir() -> Path:
 
 
 def shipped_policies() -> dict[str, Path]:
-    """Return the files of the shipped policies by name, in alphabetical order."""
+    """Return a dictionary from names of shipped policies to files, in alphabetical order."""
     return {path.stem: path for path in sorted(shipped_policies_dir().glob("*.pth"))}
 
 
@@ -54,7 +54,7 @@ def user_path(given: str | Path) -> Path:
 
 
 def check_working_folder() -> None:
-    """Check that the working folder exists; importing torch would end the process otherwise.
+    """Check that the working folder exists, because without it importing torch ends the process.
 
     Raises:
         ConfigError: the working folder was removed.

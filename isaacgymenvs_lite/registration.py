@@ -68,7 +68,7 @@ _NETWORKS: dict[str, type] = {
     "hrl": HRLBuilder,
 }
 _ENV_NAME = "rlgpu"
-# `runner` reads these keys of train.params.config; the agents read the others.
+# These keys of train.params.config are read by `runner` and not by agents.
 _RUNNER_KEYS = ("imitation_frequency", "print_disc_prediction", "save_buffers")
 
 
@@ -79,7 +79,7 @@ def register(runner: Runner) -> None:
 
 
 def register_algorithms(runner: Runner) -> None:
-    """Add our algorithms and players to rl_games' Runner; they replace those of the same name."""
+    """Add our algorithms and players to rl_games' Runner, replacing those of the same names."""
     for name, (agent, player) in _ALGORITHMS.items():
         runner.algo_factory.register_builder(name, agent)
         runner.player_factory.register_builder(name, player)
@@ -89,7 +89,7 @@ def register_networks() -> None:
     """Register our models, networks and tasks with rl_games, for all Runners."""
     # rl_games uses torch.jit.script; torch 2.14 prints a warning that no user can mend.
     warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
-    # The first backward pass on a GPU warns although torch then makes the context itself.
+    # The first backward pass on a GPU prints this warning, although torch then makes the context.
     no_context = "Attempting to run cuBLAS, but there was no current CUDA context"
     warnings.filterwarnings("ignore", no_context, UserWarning)
     if _ENV_NAME not in env_configurations.configurations:

@@ -78,15 +78,16 @@ _rl_games_log = logging.getLogger("rl_games")
 
 _DEFAULT_IMITATION_FREQUENCY = 50
 _PRECISION = "train.params.config.mixed_precision"
-# Processes that train together need the same packages and the same settings. Only the settings in
-# _OF_MACHINES may differ.
+# Processes that train together need the same packages and the same settings, except for the
+# settings in _OF_MACHINES.
 _SAME_VERSIONS = ("isaacgymenvs_lite", "rl_games", "torch", "mujoco")
 _OF_MACHINES = ("rl_device", "sim_device", "graphics_device_id", "num_threads")
-# The other processes show nothing and upload nothing.
+# Settings of the processes that are not the main process: they show nothing and upload nothing.
 _QUIET = {"headless": True, "viewer": "", "capture_video": False, "wandb_activate": False}
 _MEASURED_EPISODES = 16
 _MEASUREMENTS = 20
-# In control steps. 16 episodes of Anymal, with 2,500 steps each, take 4 s.
+# A task without reference motions is not measured if its episodes may have more control steps. A
+# measurement of 16 episodes of Anymal, with 2,500 steps each, takes 4 s.
 _LONGEST_MEASURED = 10_000
 
 
@@ -97,20 +98,21 @@ def run(
     stop: StopRequest | None = None,
     direction: str = "",
 ) -> float | None:
-    """Train (`test=False`) or play (`test=True`) the agent of a composed tree.
+    """Train the agent of a composed tree (`test=False`), or play its policy (`test=True`).
 
     Args:
         cfg: the tree, or the result of `read_config`.
-        command: the command line of the tree, for hints in the log; None if a program composed it.
+        command: the command line of the tree, for hints in the log; None if a program composed the
+            tree.
         stop: tells the caller whether the user has ended the training.
-        direction: a study's direction, `minimize` or `maximize`; '' without a study.
+        direction: the direction of a study, `minimize` or `maximize`, or '' without a study.
 
     Returns:
         The result of `train` or `play`.
 
     Raises:
         UserError: the user made a mistake; nothing was trained.
-        RestartRequest: the training goes on in a new process, see `train`.
+        RestartRequest: the training must continue in a new process, see `train`.
     """
     config = _checked(cfg)
     if config.settings.test:
@@ -126,26 +128,27 @@ def train(
     stop: StopRequest | None = None,
     direction: str = "",
 ) -> float | None:
-    """Train the agent of a composed tree in its own run folder; the arguments are those of `run`.
+    """Train the agent of a composed tree in a new run folder; the arguments are those of `run`.
 
     Returns:
-        The value by which runs are compared, see `Objective`: the best pose error in m (less is
-        better) or the best mean reward (more is better). It is None if no episode has ended.
+        The value with which runs are compared, see `Objective`: the best pose error in m (lower is
+        better) or the best mean reward (higher is better). The value is None if no episode has
+        ended.
 
     Raises:
         UserError: the user made a mistake. The run folder is removed unless the training has begun
             (`NotFiniteError`, or a last checkpoint that cannot be written).
         KeyboardInterrupt: the user ended the training with a second Ctrl-C or SIGTERM
             (`StoppedAtOnceError`); a checkpoint was saved if that was possible.
-        RestartRequest: the policy of a population goes on with other settings in a new process,
-            see `pbt.restart.start_again`.
+        RestartRequest: the training of a population's policy must continue with other settings in a
+            new process, see `pbt.restart.start_again`.
     """
     config, stop = _checked(cfg), stop or StopRequest()
     joined = _joined_processes(config)
     with _memory_errors_explained(config), joined as group, ExitStack() as stack:
         launch = _read_launch_together(config, group, stack)
         make_task = stack.enter_context(_open_tasks(launch))
-        # Whatever may be refused is made before the run folder exists.
+        # Everything that may raise a UserError is made before the run folder.
         with group.together():
             population = population_of(
                 launch.tree, launch.seed, launch.folder.train_dir, decides=group.is_main
@@ -201,7 +204,7 @@ def train(
             observers.close_wandb()
         best = None
         if group.is_main:
-            # rl_games writes the best checkpoint only after `save_best_after` epochs.
+            # rl_games does not write a best checkpoint in the first `save_best_after` epochs.
             if not launch.checkpoint_file().exists():
                 _save(observers.agent, launch)
             best = observers.best(objective)
@@ -223,7 +226,8 @@ def _guarded(
 ) -> KeyboardInterrupt | None:
     """Train until the end, or save a checkpoint when the user ends the training.
 
-    A second Ctrl-C is returned, so that the caller can close everything before raising it.
+    The exception of a second Ctrl-C is returned, so that the caller can close everything before
+    raising this exception.
     """
     try:
         run_agent()
@@ -252,8 +256,8 @@ def play(cfg: DictConfig | CheckedConfig, *, direction: str = "") -> float | Non
 
     Returns:
         The pose error in m or the mean reward of the episodes, the same quantity that `train`
-        returns for this policy. None if nothing was measured, because the window was closed or the
-        player belongs to another project.
+        returns for this policy. The result is None if the window was closed before a measurement or
+        if the player belongs to another project.
     """
     launch = _read_launch(_checked(cfg))
     with (
@@ -284,7 +288,7 @@ def play(cfg: DictConfig | CheckedConfig, *, direction: str = "") -> float | Non
 
 @contextmanager
 def load_player(cfg: DictConfig) -> Iterator[Any]:
-    """Give rl_games' player of a composed tree's checkpoint, and close its task at the end.
+    """Yield rl_games' player of a composed tree's checkpoint; close the player's task at the end.
 
     `player.env` is the task, and `player.act(obs)` returns actions for `evaluation.evaluate`.
 
@@ -305,9 +309,9 @@ class _Launch(CheckedConfig):
 
     Attributes:
         seed: the agent's seed.
-        name: the checkpoints' name, the last part of the run's name.
-        folder: the run folder; only a training makes it.
-        checkpoint: path of the file from which the run starts, '' for none.
+        name: the name of the checkpoints, which is the last component of the run's name.
+        folder: the run folder, which only a training makes.
+        checkpoint: path of the checkpoint from which the run starts, or '' without one.
     """
 
     seed: int
@@ -329,7 +333,7 @@ class _Launch(CheckedConfig):
         return {"checkpoint": self.checkpoint or None, "sigma": self.settings.sigma}
 
     def checkpoint_file(self, suffix: str = "") -> Path:
-        """Return the path of a checkpoint of the run; the best checkpoint has no suffix."""
+        """Return the path of a checkpoint of the run; '' gives the path of the best checkpoint."""
         return self.folder.checkpoints / f"{self.name}{suffix}.pth"
 
 
@@ -366,7 +370,7 @@ def _read_launch(config: CheckedConfig) -> _Launch:
 
 @contextmanager
 def _joined_processes(config: CheckedConfig) -> Iterator[ProcessGroup]:
-    """Give the group of the processes that torchrun has started, or a group of this process."""
+    """Yield the group of the processes that torchrun has started, or of this process alone."""
     settings = config.settings
     if not settings.multi_gpu and started_by_torchrun():
         raise ConfigError(
@@ -387,8 +391,8 @@ def _joined_processes(config: CheckedConfig) -> Iterator[ProcessGroup]:
 def _read_launch_together(config: CheckedConfig, group: ProcessGroup, stack: ExitStack) -> _Launch:
     """Return the launch of this process.
 
-    The main process chooses the run folder, the checkpoint, the precision and the seed, to which
-    each process adds its rank. It reserves the run folder until `stack` ends.
+    The main process chooses the run folder, the checkpoint, the precision and the seed; every
+    process adds its rank to the seed. The main process reserves the run folder until `stack` ends.
     """
     main: _Launch | None = None
     with group.together():
@@ -422,7 +426,7 @@ def _read_launch_together(config: CheckedConfig, group: ProcessGroup, stack: Exi
 
 
 def _check_settings(launch: _Launch, task: VecTask, settings: Mapping[str, float]) -> None:
-    """Check changed settings, which are given by their paths, like a new run would."""
+    """Check changed settings as a new run would; `settings` maps paths of keys to values."""
     changed = replace(launch, **vars(launch.changed(settings)))
     with _quiet("isaacgymenvs_lite"), _open_tasks(changed) as make_task:
         make_task(1)
@@ -431,9 +435,9 @@ def _check_settings(launch: _Launch, task: VecTask, settings: Mapping[str, float
 
 @contextmanager
 def _open_tasks(launch: _Launch) -> Iterator[Callable[[int], VecTask]]:
-    """Give a function that makes the tree's task with a given number of environments.
+    """Yield a function that makes the task of the tree with a given number of environments.
 
-    At the end all tasks are closed and torch's number of threads is restored, also after an error.
+    At the end, even after an error, all tasks are closed and torch's number of threads is restored.
     """
     settings = launch.settings
     with ExitStack() as opened:
@@ -474,11 +478,11 @@ def _read_params(launch: _Launch, task: VecTask) -> dict[str, Any]:
     )
     check_env_name(params)
     params["config"] |= {"train_dir": str(launch.folder.train_dir), "resume": settings.resume}
-    if launch.checkpoint:  # agents read the path, which the user may have given as `last`
+    if launch.checkpoint:  # agents need the path; the user may have given `last`
         params |= {"load_checkpoint": True, "load_path": launch.checkpoint}
     if settings.latent:
         params["config"].setdefault("player", {})["latent"] = settings.latent
-    # rl_games reads this key; its own default is at most four threads.
+    # rl_games reads this key; without the key it uses at most four threads.
     params.setdefault("torch_threads", thread_count(settings.num_threads))
     return params
 
@@ -493,7 +497,8 @@ def _load_runner(
     vec_env = RLGPUEnv.from_task(task)
     runner = build_runner(observer)
     runner.load({"params": params})
-    # `load` has copied its argument. A player acts in the task itself, without the wrapper.
+    # `load` has copied its argument, so the task is set here. A player acts in the task without the
+    # wrapper.
     runner.params["config"] |= {
         "vec_env": vec_env if observer is not None else task,
         "env_info": vec_env.get_env_info(),
@@ -505,7 +510,7 @@ def _make_player(launch: _Launch, task: VecTask) -> Any:
     """Return rl_games' player of the checkpoint in a task."""
     if not launch.checkpoint:
         log.warning("test=True without checkpoint=: playing an untrained policy")
-    with _quiet("isaacgymenvs_lite.config"):  # only a training needs the notes about minibatches
+    with _quiet("isaacgymenvs_lite.config"):  # notes about minibatches concern only trainings
         params = _read_params(launch, task)
     with _output_to_log():
         player = _load_runner(params, task).create_player()
@@ -520,10 +525,10 @@ def _make_player(launch: _Launch, task: VecTask) -> Any:
 def _measurement_observer(
     config: dict[str, Any], task: VecTask, make_task: Callable[[int], VecTask]
 ) -> MeasurementObserver | None:
-    """Return the observer that measures the mean policy; None if it is not measured.
+    """Return the observer that measures the mean policy, or None if nothing is to be measured.
 
-    For a task without reference motions it also chooses the best checkpoint and makes about 20
-    measurements at most.
+    For a task without reference motions the observer also chooses the best checkpoint, and it makes
+    at most about 20 measurements.
     """
     has_motions = hasattr(task, "motion_lib")
     frequency = config.get("imitation_frequency", _DEFAULT_IMITATION_FREQUENCY)
@@ -548,8 +553,9 @@ def _measurement_observer(
 def _stored_config(launch: _Launch) -> DictConfig:
     """Return the tree for config.yaml, with the drawn seed and without `resume`.
 
-    Values that the command line takes from elsewhere (`${oc.env:X}`) are replaced by their results,
-    because a file with such interpolations is refused.
+    Interpolations of the command line that read something else than the configuration
+    (`${oc.env:X}`) are replaced by their results, because a file with such interpolations is
+    refused.
     """
     cfg = launch.cfg.copy()
     for path, text in leaves(OmegaConf.to_container(cfg, resolve=False)):
@@ -583,11 +589,11 @@ def _begin(folder: RunFolder) -> None:
 
 
 def _save(agent: Any, launch: _Launch, suffix: str = "") -> None:
-    """Write a checkpoint if there is an agent; without a suffix it is the run's best checkpoint."""
+    """Write a checkpoint if there is an agent; an empty suffix makes it the best checkpoint."""
     if agent is None:
         return
     with _output_to_log():
-        if not suffix and hasattr(agent, "save_best"):  # not an agent of another project
+        if not suffix and hasattr(agent, "save_best"):  # agents of other projects lack `save_best`
             agent.save_best()
         else:
             agent.save(str(launch.checkpoint_file(suffix).with_suffix("")))
@@ -605,7 +611,7 @@ def _report_end(
     if newest is None:
         return
     played = best if plays_best and best.exists() else newest
-    if launch.settings.resume:  # only the user knows the command that started the run
+    if launch.settings.resume:  # this process does not know the first command
         name = "last" if played == newest else played.absolute()
         play = f"add test=True checkpoint={name} to the command that started the run"
     else:
@@ -616,7 +622,7 @@ def _report_end(
 
 
 def _unsaved(folder: RunFolder) -> CheckpointError:
-    """Return the error for a last checkpoint that could not be written anywhere."""
+    """Return the error for the case that the last checkpoint could be written nowhere."""
     newest = folder.newest_checkpoint()
     saved = f"the newest checkpoint is {newest}" if newest else "this training has no checkpoint"
     return CheckpointError(

@@ -1,6 +1,6 @@
 """Turns a section of a YAML file into a typed, checked, frozen dataclass.
 
-A component that has settings declares them once:
+A component declares its settings once:
 
     @dataclass(frozen=True, kw_only=True)
     class PlaneSettings:
@@ -40,17 +40,18 @@ _log = logging.getLogger(__name__)
 T = TypeVar("T", bound="DataclassInstance")
 Field = dataclasses.Field[Any]
 
-# A key is called misspelt if it is at least this similar to a known key (difflib's ratio) and of
-# nearly the same length. The length distinguishes `disc_weight_decay` from `weight_decay`.
+# A key is called misspelt if its similarity to a known key (difflib's ratio) is at least this value
+# and the lengths are nearly equal. The length distinguishes `disc_weight_decay` from
+# `weight_decay`.
 _MISSPELT_RATIO = 0.8
 _MISSPELT_LENGTH = 3
-# A hint about a missing key may name a less similar key.
+# A hint about a missing key may name a key with at least this lower similarity.
 _SIMILAR_RATIO = 0.6
 
 _GIVEN = reprlib.Repr()  # shortens values in messages
 _GIVEN.maxstring = _GIVEN.maxother = 120
 LOGGED_KEYS: set[str] = set()
-"""Unread keys that this process has logged; each key is logged once."""
+"""Keys without effect that this process has logged; each key is logged once."""
 
 
 def setting(
@@ -68,15 +69,15 @@ def setting(
     """Declare a field of a settings dataclass.
 
     Args:
-        default: value when the key is absent; without it the key is required.
-        key: name in the YAML file if it differs from the field's name (`numEnvs` for `num_envs`).
-        minimum: smallest allowed number; in a list it applies to every entry.
+        default: value when the key is absent; a setting without default is a required key.
+        key: the key in the YAML file if it is not the field's name (`numEnvs` for `num_envs`).
+        minimum: smallest allowed number, also for every entry of a list.
         maximum: largest allowed number.
         above: exclusive lower limit.
         choices: the allowed values; text is compared exactly.
         min_length: smallest number of entries of a list.
         length: exact number of entries of a list.
-        blank: whether '' counts as None (the launcher's "not given").
+        blank: whether '' counts as None; in cfg/config.yaml '' means "not given".
     """
     metadata = {
         "key": key,
@@ -103,10 +104,10 @@ def read_section(
 ) -> T:
     """Fill the settings dataclass `cls` from `mapping`.
 
-    Values are converted to the declared types: an int to a float, the text "2e-5" (YAML 1.1 reads
-    it as text) to a number, a number to text, and OmegaConf containers to plain containers.
-    Unknown keys that resemble no known key are only logged, because published files have keys that
-    nothing reads.
+    Values are converted to the declared types: an int to a float, a text such as "2e-5" (which YAML
+    1.1 does not read as a number) to a number, a number to text, and OmegaConf containers to plain
+    containers. Unknown keys that resemble no known key are only logged, because published files
+    have keys that nothing reads.
 
     Args:
         cls: a dataclass whose fields are the keys; `setting` adds limits and choices.
@@ -114,7 +115,8 @@ def read_section(
         where: path of the section, for messages: "task.env"; "" for the root.
         ignored: keys that other code reads, or that nothing reads on purpose. None means that other
             code reads all other keys.
-        complete: whether the section has all its keys, so that any similar key is misspelt.
+        complete: whether the section has all its keys. An unknown key that resembles any known key
+            is then misspelt.
 
     Raises:
         ConfigError: a value has a wrong type or is out of range, a required key is missing, or an
@@ -148,7 +150,7 @@ def read_keys(cls: type[T], mapping: Mapping[Any, Any] | None, where: str) -> T:
     """Fill the settings dataclass `cls` from a section whose other keys are read elsewhere.
 
     Raises:
-        ConfigError: as `read_section`.
+        ConfigError: as in `read_section`.
     """
     return read_section(cls, mapping, where, ignored=None)
 
@@ -158,8 +160,8 @@ def convert_section(
 ) -> T:
     """Check a plain section like `read_section` and convert its values in place.
 
-    This function is for sections that other packages read. The fields of `cls` are named like their
-    keys.
+    This function is for sections that other packages read. The names of the fields of `cls` are the
+    keys of the section.
     """
     settings = read_section(cls, section, where, ignored)
     for key in keys_of(cls) & set(section or ()):
@@ -182,8 +184,8 @@ def check_unknown_keys(
 ) -> None:
     """Refuse keys of `values` that look misspelt, and log the other unknown keys.
 
-    Unless `values` is `complete`, a key does not look misspelt if the similar known key is also
-    present.
+    If `complete` is False, an unknown key does not look misspelt when `values` also has the known
+    key that it resembles.
 
     Raises:
         ConfigError: an unknown key looks misspelt.
@@ -210,7 +212,7 @@ def check_unknown_keys(
 def missing_key(
     key: str, values: Mapping[str, Any], known: Iterable[str], where: str, hint: str
 ) -> ConfigError:
-    """Return the error for a missing required key; it names an unknown key that is similar."""
+    """Return the error for a missing required key; the error names a similar unknown key."""
     known = set(known)
     near = nearest(key, [str(other) for other in values if other not in known], _SIMILAR_RATIO)
     instead = f" (is '{near}' misspelt?)" if near is not None else ""
@@ -225,7 +227,7 @@ def nearest(given: str, choices: Iterable[str], ratio: float) -> str | None:
 
 
 def select(tree: Any, path: str) -> Any:
-    """Return the value at `path` in nested dictionaries, None if there is none."""
+    """Return the value at `path` in nested dictionaries, or None if there is no value."""
     for key in path.split("."):
         tree = tree.get(key) if isinstance(tree, dict) else None
     return tree
@@ -236,7 +238,7 @@ def leaves(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
     Args:
         tree: the mappings.
-        path: path of `tree` itself, the beginning of all paths.
+        path: path of `tree`, with which all yielded paths begin.
     """
     if isinstance(tree, Mapping) and (tree or not path):
         for key, value in tree.items():
@@ -246,7 +248,7 @@ def leaves(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def plain(value: Any) -> Any:
-    """Return `value` with OmegaConf containers as dicts and lists, interpolations resolved.
+    """Convert OmegaConf containers in `value` to dicts and lists with resolved interpolations.
 
     Raises:
         ConfigError: an interpolation leads nowhere.
@@ -289,7 +291,7 @@ def _fold(key: str) -> str:
 
 
 def _convert(value: Any, kind: Any, field: Field, path: str) -> Any:
-    """Return the plain `value` as the type `kind`, within the limits of `field`.
+    """Return a plain value converted to the type `kind`; check the limits of `field`.
 
     Raises:
         ValueError: the value has a wrong type or is out of range.

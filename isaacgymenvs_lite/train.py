@@ -3,7 +3,7 @@
 With -m it runs several jobs, see `run.sweep`. A job returns the result of `runner.run`.
 
 The configuration is composed and checked before torch, MuJoCo and rl_games are imported. A user's
-mistake therefore costs about a second; it ends in one line and exit code 2.
+mistake is therefore reported after about a second, by one line and exit code 2.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ log = logging.getLogger(__name__)
 EXIT_FAILED_JOBS = 1
 _NO_COMPILER = "TORCHDYNAMO_DISABLE"
 
-# Time for another process of a data-parallel training to report its mistake.
+# How long (s) a process waits until another process of the training has reported its mistake.
 _REPORT_S = 10.0
-# Maps each option of Hydra to whether a value follows it.
+# Maps each option of Hydra to whether the option has a value.
 _OPTIONS = {
     **dict.fromkeys(("--help", "-h", "--hydra-help", "--version", "--resolve"), False),
     **dict.fromkeys(("--run", "-r", "--multirun", "-m"), False),
@@ -108,7 +108,7 @@ def _run_hydra(words: Sequence[str], command: TypedCommand) -> None:
         for names in (("--config-dir", "-cd"), ("--config-path", "-cp"))
     ]
     register_resolvers()
-    # Hydra prints its errors itself, over several lines, and exits; in this mode it raises them.
+    # Hydra normally prints an error over several lines and exits; in this mode it raises the error.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     launcher = next((word for word in overrides if word.startswith("hydra/launcher=")), None)
     waiting = waiting_for_jobs() if launcher else contextlib.nullcontext()
@@ -172,7 +172,8 @@ def split_options(words: Sequence[str]) -> tuple[dict[str, str | None], list[str
 def _run_job(cfg: DictConfig, command: TypedCommand) -> float | None:
     """Check the composed tree, then train or play; return the result of the run.
 
-    A user's mistake exits here, because Hydra would print a line of its own before it raises.
+    A user's mistake ends the process here, because Hydra prints a line before it passes on an
+    error.
     """
     try:
         return _run(cfg, command)
@@ -183,7 +184,7 @@ def _run_job(cfg: DictConfig, command: TypedCommand) -> float | None:
 
 
 def _run_job_of_sweep(cfg: DictConfig, command: TypedCommand, parent: int) -> float | None:
-    """Run one job of a sweep, in the sweep's process (id `parent`) or in a process of its own."""
+    """Run one job of a sweep, in the sweep's process (id `parent`) or in another process."""
     hydra_job = HydraConfig.get()
     words = words_of_job(command.words, hydra_job.overrides.task)
     job = dataclasses.replace(command, words=tuple(words), is_job=True)
@@ -199,7 +200,7 @@ def _run(cfg: DictConfig, command: TypedCommand, **of_sweep: Any) -> float | Non
         os.environ[_NO_COMPILER] = "1"
         importlib.import_module("isaacgymenvs_lite.registration")
         del os.environ[_NO_COMPILER]
-    from isaacgymenvs_lite.runner import run  # torch, MuJoCo and rl_games: after the checks
+    from isaacgymenvs_lite.runner import run  # imports torch, MuJoCo and rl_games
 
     return run(config, command, **of_sweep)
 
@@ -211,7 +212,8 @@ def _fail(error: UserError) -> NoReturn:
         error = first_of_all(error)
     if isinstance(error, PeerMistakeError):
         log.info("%s", error)
-        # As soon as this process ends, torchrun ends the process that reports the mistake.
+        # torchrun ends all processes as soon as this process ends, so wait for the process that
+        # reports the mistake.
         time.sleep(_REPORT_S)
     else:
         print(f"error: {error}", file=sys.stderr)
@@ -223,7 +225,7 @@ def _fail(error: UserError) -> NoReturn:
 
 def configure_logging(prefix: str = "") -> None:
     """Send the log to stderr, messages only, without breaking a progress bar."""
-    # Rank 0 logs; the other ranks report only their errors.
+    # Rank 0 logs all messages; processes of other ranks log only errors.
     level = logging.INFO if os.environ.get("RANK", "0") == "0" else logging.ERROR
     logging.basicConfig(level=level, handlers=[message_handler(prefix)], force=True)
 
@@ -236,7 +238,7 @@ def message_handler(prefix: str = "") -> logging.Handler:
 
 
 class _ProgressBarHandler(logging.Handler):
-    """Writes above a running progress bar instead of through it."""
+    """Writes messages above a running progress bar, which stays intact."""
 
     def emit(self, record: logging.LogRecord) -> None:
         # The training goes on to its checkpoint even if the terminal was closed.

@@ -11,12 +11,12 @@ from pathlib import Path
 
 PACKAGE = "isaacgymenvs_lite"
 CONSOLE_SCRIPT = "isaacgymenvs-lite"
-"""The program that pip installs with the package; its first word is a command."""
+"""The program that pip installs with the package; its first argument is a command."""
 _TRAIN = f"{PACKAGE}.train"
 _NUM_PLAYED = 16
-# Playing a policy needs these root keys and all keys of task and train.
+# The command that plays a policy repeats these root keys and all keys of task and train.
 _KEPT_KEYS = ("rl_device", "task_checkout")
-# Hydra's options for folders and files; each has a value.
+# Hydra's options for folders and files; each of these options has a value.
 _KEPT_OPTIONS = ("--config-dir", "-cd", "--config-path", "-cp", "--config-name", "-cn")
 
 
@@ -25,9 +25,9 @@ class TypedCommand:
     """A command line of train.py.
 
     Attributes:
-        program: the words before the settings, for example `python train.py`.
-        words: the settings as typed; empty if a program composed the configuration.
-        is_job: whether it is a job of a sweep, after which other jobs may have run.
+        program: the text before the settings, for example `python train.py`.
+        words: the settings as the user wrote them; empty if a program composed the configuration.
+        is_job: whether the command ran a job of a sweep, after which other jobs may have run.
     """
 
     program: tuple[str, ...] = ("python", "-m", _TRAIN)
@@ -42,7 +42,8 @@ class TypedCommand:
     def play(self, task: str, checkpoint: Path, *, is_newest: bool = True) -> str:
         """Return the shell command that plays a checkpoint of the run.
 
-        `task` is used if the words lack `task=`. The newest checkpoint is called `last`.
+        The task is `task` if the settings lack `task=`. The command calls the newest checkpoint
+        `last`.
         """
         typed = {_key(word): word for word in self.words if _key(word) in ("task", "train")}
         files = [typed.get("task", f"task={task}")]
@@ -59,7 +60,7 @@ class TypedCommand:
         return shlex.join([*self.program, *files, *kept, *settings, *played])
 
     def resume(self, run: Path, num_processes: int = 1) -> str:
-        """Return the shell command that resumes a run, with torchrun for several processes."""
+        """Return the shell command that resumes a run; several processes need torchrun."""
         words = [*self.program, f"resume={run}"]
         if num_processes > 1:
             start = ["torchrun", "--standalone", f"--nproc-per-node={num_processes}"]
@@ -81,11 +82,11 @@ def package_command(*words: str) -> str:
 
 
 def words_of_job(typed: Sequence[str], job: Sequence[str]) -> list[str]:
-    """Return the words of one job of a sweep (`--multirun`).
+    """Return the settings of one job of a sweep (`--multirun`) as the user could write them.
 
     Args:
-        typed: the words of the command line, sweeps included.
-        job: Hydra's overrides of the job, with names in place of files.
+        typed: the arguments of the command line, which include those that sweep over values.
+        job: Hydra's overrides of the job, in which names replace the paths of files.
     """
     files = {_key(word): word for word in typed if word.endswith((".yaml", ".yml"))}
     settings = [word for word in job if not word.startswith("++task_checkout=")]
@@ -93,7 +94,7 @@ def words_of_job(typed: Sequence[str], job: Sequence[str]) -> list[str]:
 
 
 def _kept_options(words: Sequence[str]) -> list[str]:
-    """Return the options for folders and files, each with its value."""
+    """Return the options for folders and files, each followed by its value."""
     kept, rest = list[str](), iter(words)
     for word in rest:
         option, _, value = word.partition("=")
@@ -104,7 +105,8 @@ def _kept_options(words: Sequence[str]) -> list[str]:
 
 def _program() -> tuple[str, ...]:
     """Return the command that started this process, without its settings."""
-    # sys.argv[0] is the module of a package's command; orig_argv has the words that were typed.
+    # sys.argv[0] is only the path of the module, but orig_argv has the command as the user wrote
+    # it.
     before = sys.orig_argv[: max(0, len(sys.orig_argv) - len(sys.argv[1:]))]
     *_, first, second, third = ["", "", "", *before]
     if (first, second) == ("-m", PACKAGE):
@@ -117,24 +119,24 @@ def _program() -> tuple[str, ...]:
     if script.endswith(".py"):
         return (_python(), script)
     if shutil.which(Path(script).name) is None or not Path(script).is_file():
-        return (_python(), "-m", _TRAIN)  # python -c, or a user's own program
+        return (_python(), "-m", _TRAIN)  # python -c, or a program of the user
     return (_shortest(script),)
 
 
 def _shortest(script: str) -> str:
-    """Return a program's name if a shell finds the program by its name, else its path."""
+    """Return the name of a program if a shell finds the program by this name, else its path."""
     found = shutil.which(Path(script).name)
     return Path(script).name if found is not None and Path(found) == Path(script) else script
 
 
 def _finds_own(program: str) -> bool:
-    """Return whether a shell finds this environment's program by its name."""
+    """Return whether the program that a shell finds by this name belongs to this environment."""
     found = shutil.which(program)
     return found is not None and Path(found).parent == Path(sys.executable).parent
 
 
 def _python() -> str:
-    """Return `python` if a shell finds this interpreter by that name, else the shortest path."""
+    """Return `python` if a shell finds this interpreter under this name, else its shortest path."""
     if _finds_own("python"):
         return "python"
     own = Path(sys.executable)

@@ -29,14 +29,15 @@ class Track:
 
 
 def tracks_of_clips(motion_lib: MotionLib, dt_s: float) -> list[Track]:
-    """Sample every clip of a motion library at the times 0, dt_s, 2 dt_s, ... < its length.
+    """Sample every clip of a motion library at the times 0, dt_s, 2 dt_s, ... before its end.
 
-    The end is left out, because the last pose of a cyclic clip equals its first pose.
+    The tracks lack the pose at the end, because the last pose of a cyclic clip equals its first
+    pose.
     """
     tracks = []
     for motion_id in range(motion_lib.num_motions()):
         length_s = float(motion_lib.get_motion_length([motion_id]))
-        # The length of a whole number of steps may have a rounding error.
+        # If the length is a whole number of steps, it may have a rounding error.
         num_frames = max(1, math.ceil(length_s / dt_s - 1e-4))
         ids = torch.full((num_frames,), motion_id)
         times_s = torch.arange(num_frames, dtype=torch.float64) * dt_s

@@ -1,4 +1,4 @@
-"""Plays a policy and measures it; players, trainings and benchmarks use this loop."""
+"""Runs episodes with a policy and measures them, for players, trainings and benchmarks."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ Policy = Callable[[dict[str, Tensor]], Tensor]
 
 @dataclass(frozen=True)
 class EvaluationResult:
-    """The result of a played policy, as means over episodes."""
+    """The measured values of a policy, as means over episodes."""
 
-    num_episodes: int  # all environments play the same number
+    num_episodes: int  # the same number in each environment
     reward: float  # sum of the task's rewards in an episode
     steps: float  # control steps of an episode
-    style_reward: float | None  # discriminator's reward per step, None without a discriminator
-    # Pose error and falls, None for tasks without reference motions.
+    style_reward: float | None  # reward of the discriminator per step, or None if there is none
+    # Pose error and falls, or None for a task without reference motions.
     imitation: ImitationResult | None
-    # Errors of the task's goal as means over all steps; {} without a goal.
+    # Errors of the task's goal as means over all steps; empty if the task has no goal.
     goal_errors: dict[str, float] = field(default_factory=dict)
     falls: float = 0.0  # share of the episodes that ended before the time limit, 0 to 1
 
     def __str__(self) -> str:
         """Return one line for users."""
         parts = [f"{self.num_episodes} episodes"]
-        # A task without a reward of its own returns 1 at every step.
+        # A task without a reward function returns 1 at every step.
         if not math.isclose(self.reward, self.steps, rel_tol=1e-6):
             parts.append(f"reward {self.reward:.2f}")
         parts.append(f"episode length {self.steps:.1f} steps")
@@ -128,9 +128,9 @@ def evaluate(
     style_reward: Callable[[Tensor], Tensor] | None = None,
     on_step: Callable[[Tensor, dict[str, Any]], None] | None = None,
 ) -> EvaluationResult:
-    """Play at least `num_episodes` episodes and measure them.
+    """Run at least `num_episodes` episodes with a policy and return their measured values.
 
-    Every environment plays the same number of episodes, because the first n episodes to end would
+    Every environment runs the same number of episodes, because the n episodes that end first would
     be too short on average.
 
     Args:
@@ -176,7 +176,7 @@ def evaluate(
 
 @contextlib.contextmanager
 def _evaluated(env: Env) -> Iterator[None]:
-    """Clear the task's flag `is_training`, if it has one, in a `with` statement."""
+    """Clear the flag `is_training` of a task that has this flag, in a `with` statement."""
     before = getattr(env, "is_training", None)
     if before is None:
         yield
@@ -202,8 +202,8 @@ def play_on(
     policy: Policy,
     on_step: Callable[[Tensor, dict[str, Any]], None] | None = None,
 ) -> None:
-    """Play without measuring until the window or page is closed, or until Ctrl-C."""
-    if not getattr(env, "is_watched", False):  # a user's own environment may lack it
+    """Run episodes without measuring until the window or web page is closed, or until Ctrl-C."""
+    if not getattr(env, "is_watched", False):  # a user's environment may lack it
         return
     log.info("playing on while a window or a page is open; Ctrl-C ends it")
     with contextlib.suppress(KeyboardInterrupt), _evaluated(env):
@@ -214,14 +214,15 @@ def play_on(
 
 
 DEFAULT_EPISODES = 32
-# Published train files have 100,000 and more episodes, which means until the window is closed.
+# In published train files 100,000 or more episodes mean that the player runs until its window is
+# closed.
 _ENDLESS = 10_000
 
 
 def episodes_to_play(player_config: Mapping[str, Any]) -> int:
-    """Return `player.games_num` of a train file, or the default if the number means without end.
+    """Return `player.games_num` of a train file, or the default if the number means "for ever".
 
-    The log names a key of the section that has no effect.
+    If a key of the section has no effect, the log names the key.
     """
     if note := player_class_note(player_config):
         log.info("%s", note)

@@ -1,12 +1,12 @@
-"""Measures how much of its clips' motion a character shows; a standing character shows little.
+"""Measures how much of the motion in its clips a character performs.
 
-A **moment** consists of the body positions at a time and a little later, relative to the root's
-ground position and heading at the first time. It therefore describes pose, speed, turning and
-height of the root. The time difference depends on the clip: the bodies must move far enough that a
-frozen pose is a different moment. A moment of a clip counts as shown if the character's motion
-contains a similar moment. Its weight is the distance that the bodies move in it, so that rest has
-little weight.
-`docs/imitation_metric.md` explains the results.
+A **moment** consists of the body positions at two nearby times, relative to the root's ground
+position and heading at the first time. A moment therefore describes pose, speed, turning and height
+of the root. The time difference depends on the clip: the bodies must move far enough that a frozen
+pose is a different moment. A clip's moment counts as shown if the character's motion contains a
+similar moment. The weight of a moment is the distance that the bodies move in it, so that a
+standing character, which performs only rest, shows little. `docs/imitation_metric.md` explains the
+results.
 """
 
 from __future__ import annotations
@@ -21,18 +21,23 @@ from torch import Tensor
 from isaacgymenvs_lite.evaluation.body_tracks import Track
 from isaacgymenvs_lite.utils.rotations import calc_heading, rotate_about_z
 
-# Time from the first to the second pose of a moment, and its largest share of the clip.
+# Times (s) between the two poses of a moment, and the largest such time as a share of the clip's
+# length.
 _SHORTEST_S, _LONGEST_S, _LONGEST_SHARE = 0.1, 1.0, 0.25
-# A moment at a larger distance is not shown. The distance is a share of the bodies' mean distance
-# from the root: 0.2 m for a human, 0.08 m if the bodies hardly move.
+# A clip's moment is not shown if the distance to the nearest moment of the character exceeds a
+# limit. The limit is a share of the bodies' mean distance from the root: 0.2 m for a human, 0.08 m
+# if the bodies hardly move.
 _FAR, _FAR_LEAST = 0.5, 0.2
-# The same limit as a share of the distance between the clip's moments and frozen poses.
+# The limit of the distance of moments as a share of the distance between the clip's moments and
+# frozen poses.
 _FAR_OF_FROZEN = 0.7
-# A moment is shown completely up to this share of the limit, and partly up to the limit.
+# A clip's moment is shown completely if the distance is below this share of the limit, and partly
+# if the distance is below the limit.
 _NEAR = 0.5
-# A moment must be shown once within the time of this many repetitions of the clips.
+# A character has the time of so many repetitions of the clips to show each moment once.
 _REPETITIONS = 2
-# Smallest number of falls, and the largest time between them.
+# Falls have a common time in the clips if there are so many, and this share of them begins within
+# this time (s) of it.
 _LEAST_FALLS, _FALLS_WITHIN_S, _FALLS_SHARE = 4, 0.25, 0.5
 _LEAST_SIZE_M = 0.01
 # All moments of a clip without motion have the same weight.
@@ -45,7 +50,7 @@ class _Moments:
 
     apart: int  # control steps between the two poses of a moment
     rows: Tensor  # (S, 6 J) m
-    weights: Tensor  # (S,) m, mean distance that the bodies move
+    weights: Tensor  # (S,) m, mean distance that the bodies move in each moment
     far_m: float  # largest distance (root mean square over bodies and times) of a shown moment
     height_m: float  # median height of the root
 
@@ -60,7 +65,8 @@ class _Moments:
             start, later = moments.chunk(2, dim=1)
             moved_m = (later - start).norm(dim=-1)
             weights = moved_m.mean(dim=-1) + _LEAST_WEIGHT_M
-            # A frozen pose is correct at the first time and wrong by the movement at the second.
+            # A moment of a frozen pose is correct at its first time; its error at the second time
+            # is the bodies' movement.
             frozen_m = moved_m.square().mean(dim=-1).div(2.0).sqrt()
             typical_m = (frozen_m @ weights / weights.sum()).item()
             if _FAR_OF_FROZEN * typical_m >= far_m:
@@ -69,11 +75,11 @@ class _Moments:
         return cls(apart, moments.flatten(1), weights, far_m, _height_m(clip))
 
     def shown(self, track: Track, height_m: float | None = None) -> Tensor:
-        """Return how well each moment of an episode shows each clip moment, (T', S), 0 to 1."""
+        """Return the similarity (T', S), 0 to 1, of an episode's moments and the clip's moments."""
         if len(track) <= self.apart:
             return torch.zeros(1, len(self.rows))
         moments = _moments(track, self.apart, height_m).flatten(1)
-        # A row has 3 values for each body and time.
+        # A row of a moment has 3 values for each body at each of the two times.
         distances_m = torch.cdist(moments, self.rows) / math.sqrt(moments.shape[1] / 3)
         near_m = _NEAR * self.far_m
         return ((self.far_m - distances_m) / (self.far_m - near_m)).clamp(0.0, 1.0)
@@ -81,7 +87,7 @@ class _Moments:
 
 @dataclass(frozen=True)
 class FallMoment:
-    """The time of a clip at which many falls begin (within 0.25 s), and their share."""
+    """The time in a clip within 0.25 s of which many falls begin, and the share of these falls."""
 
     clip: int
     time_s: float
@@ -89,7 +95,7 @@ class FallMoment:
 
 
 class MotionCoverage:
-    """Measures the share of the clips' motion that episodes show; tracks have a row per `dt_s`."""
+    """Measures the share of the clips' motion that episodes show; tracks have steps of `dt_s`."""
 
     def __init__(self, clips: Sequence[Track], dt_s: float) -> None:
         self._dt_s = dt_s
@@ -97,12 +103,12 @@ class MotionCoverage:
         self._num_moments = sum(len(clip.rows) for clip in self._clips)
 
     def share(self, episodes: Sequence[Track], max_steps: int) -> float:
-        """Return the mean share, 0 to 1, over stretches of episodes; nan without episodes.
+        """Return the mean share, 0 to 1, over all stretches of episodes, or nan without episodes.
 
-        A stretch is twice as long as all clips together, or a whole episode if that is shorter
-        (`max_steps` steps without an early end). If the clips are longer than a stretch, only the
-        part that fits into the stretch is expected. Motion that is missing because of a fall lowers
-        the share.
+        A stretch is a part of an episode that is twice as long as all clips together, or the whole
+        episode (`max_steps` steps without an early end) if the episode is shorter. If the clips are
+        longer than a stretch, only as much motion as fits into a stretch is expected. Motion that
+        is missing because of a fall lowers the share.
         """
         if not episodes:
             return math.nan
@@ -113,7 +119,7 @@ class MotionCoverage:
         return (shown / expected).clamp(max=1.0).mean().item()
 
     def share_of_rest(self, episodes: Sequence[tuple[Track, float]]) -> float:
-        """Return the share, 0 to 1, of the rest of the only clip that episodes show.
+        """Return the share, 0 to 1, that episodes show of the clip after their starting times.
 
         Args:
             episodes: at least one episode with the time (s) of the clip at which it started.
@@ -123,16 +129,18 @@ class MotionCoverage:
         for track, start_s in episodes:
             first = min(round(start_s / self._dt_s), len(clip.rows) - 1)
             weights = clip.weights[first:]
-            # The median height differs if an episode gets up earlier or later than the clip.
+            # An episode in which the character gets up earlier or later than in the clip has
+            # another median height.
             found = clip.shown(track, clip.height_m)[:, first:]
             shown = shown + found.amax(dim=0) @ weights
             expected = expected + weights.sum()
         return (shown / expected).item()
 
     def fall_moment(self, episodes: Sequence[Track]) -> FallMoment | None:
-        """Return the moment of the clips at which most of these falling episodes began to fall.
+        """Return the time in the clips at which most of these episodes began to fall.
 
-        The result is None if there is no common moment or if there are fewer than four episodes.
+        The result is None if the falls have no common time or if there are fewer than four
+        episodes.
         """
         last = [found for track in episodes if (found := self._last_shown(track)) is not None]
         if len(last) < _LEAST_FALLS:
@@ -148,7 +156,7 @@ class MotionCoverage:
         return FallMoment(last[most][0], times_s[near[most]].median().item(), share)
 
     def _last_shown(self, track: Track) -> tuple[int, float] | None:
-        """Return the clip and the time in it (s) that an episode showed last."""
+        """Return the index of the clip, and the time (s) in it, that an episode showed last."""
         found: tuple[int, int, float] | None = None
         for i, clip in enumerate(self._clips):
             how_well, moments = clip.shown(track).max(dim=1)
@@ -159,8 +167,8 @@ class MotionCoverage:
         return None if found is None else found[1:]
 
     def _shown(self, track: Track, stretch: int) -> Tensor:
-        """Return the sum of the weights that each stretch of an episode shows."""
-        # The rest at the end counts only if the episode is shorter than a stretch.
+        """Return for each stretch of an episode the weight of the moments that it shows."""
+        # An incomplete stretch at the end counts only if the episode is shorter than a stretch.
         num_stretches = max(1, len(track) // stretch)
         sums = torch.zeros(num_stretches)
         for clip in self._clips:
@@ -176,8 +184,9 @@ def _weight_shown(how_well: Tensor, weights: Tensor, steps: int) -> Tensor:
 
     The moments of a clip may be nearly alike, for example in a slow crouched walk, so that each
     step of an episode is near many moments. A step counts for only one moment: an episode that
-    walks for half a second and then stands has shown half a second of the clip. A stretch has more
-    `steps` than rows of `how_well` (T, S), because its last moment ends with the stretch.
+    walks for half a second and then stands has shown half a second of the clip. The number of
+    `steps` in a stretch exceeds the number of rows of `how_well` (T, S), because the last moment of
+    a stretch ends with it.
     """
     best, nearest = how_well.max(dim=1)
     most = (best * weights[nearest]).mean() * steps
@@ -189,10 +198,10 @@ def _height_m(track: Track) -> float:
 
 
 def _moments(track: Track, apart: int, height_m: float | None = None) -> Tensor:
-    """Return the moments (T - apart, 2 J, 3) m of T steps; a single step is repeated.
+    """Return the moments (T - apart, 2 J, 3) m of T steps; a track of a single step is repeated.
 
-    Heights are relative to `height_m`. Its default is the median height of the root, because a clip
-    may have been recorded above or below the ground.
+    Heights are relative to `height_m`. The default of `height_m` is the median height of the root,
+    because a clip may have been recorded above or below the ground.
     """
     apart = min(apart, len(track) - 1)
     first = track.body_pos_w[: len(track) - apart]

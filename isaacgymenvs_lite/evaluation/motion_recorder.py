@@ -19,10 +19,10 @@ log = logging.getLogger(__name__)
 
 
 class MotionRecorder:
-    """Records the first episode of environment 0 of a task with reference motions as an .npz file.
+    """Records the first episode of environment 0 as an .npz file; the task needs reference motions.
 
-    The clip of a humanoid contains the rotations of its bodies, the clip of a robot the positions
-    of its joints, like the clips of the command `convert`.
+    The clip of a humanoid contains the rotations of its bodies; the clip of a robot contains the
+    positions of its joints, as do the clips that the command `convert` writes.
     """
 
     def __init__(self, env: ReferenceEnv, path: str) -> None:

@@ -26,7 +26,8 @@ from isaacgymenvs_lite.evaluation.body_tracks import Track
 from isaacgymenvs_lite.evaluation.motion_coverage import FallMoment, MotionCoverage
 from isaacgymenvs_lite.utils.rotations import calc_heading, rotate_about_z
 
-# A cell of a path and a step in the reference add these values to the imaginary part of its cost.
+# Every cell of a path adds `_CELL` to the imaginary part of the path's cost, and every step in the
+# reference adds `_ADVANCE`.
 _CELL = 1.0
 _ADVANCE = 2.0**-24
 
@@ -35,7 +36,8 @@ _ADVANCE = 2.0**-24
 class Alignment:
     """The cheapest warping paths of E episodes."""
 
-    # (E,) float64, cost of the path including its steps, divided by the number of its cells.
+    # (E,) float64, cost of the path including the cost of its steps, divided by the number of
+    # cells.
     mean_cost: npt.NDArray[np.float64]
     # (E,) int, reference frames from the first to the last cell of the path.
     advance: npt.NDArray[np.int64]
@@ -51,23 +53,25 @@ def align(
 
     A path visits cells (t, s), from any cell of an episode's first row to any cell of its last row,
     by the steps (1, 0), (0, 1) and (1, 1). The cheapest path has the smallest sum of costs. Among
-    equally cheap paths the fewest cells count, then the smallest advance in the reference. The time
-    is O(E T S); the memory in addition to `cost` is O(E T).
+    equally cheap paths the path with the fewest cells is chosen, then the path with the smallest
+    advance in the reference. The time is O(E T S); the memory in addition to `cost` is O(E T).
 
     Args:
         cost: (T, S, E) non-negative cost of frame t of episode e at reference frame s.
         lengths: (E,) lengths of the episodes; later rows are ignored.
-        num_columns: (E,) reference frames; more than S frames repeat the reference from its start.
+        num_columns: (E,) numbers of reference frames; a number above S repeats the reference from
+            its start.
         off_tempo: cost of a step (1, 0) or (0, 1), so that the path prefers (1, 1) if all cells
             have a similar cost.
     """
     num_rows, num_frames, num_episodes = cost.shape
     max_columns = int(num_columns.max())
 
-    # The real part is a path's cost; the imaginary part contains its cells and its advance. numpy
-    # orders complex numbers by the real and then by the imaginary part, which is the rule for ties.
-    # Row 0 is before the episode, and every path begins there without cost. The cells of an
-    # anti-diagonal depend only on the two previous anti-diagonals, so three arrays take turns.
+    # The real part is a path's cost; the imaginary part contains the number of its cells and its
+    # advance. numpy orders complex numbers by the real part and then by the imaginary part, which
+    # is the rule for equally cheap paths. Row 0 is before the episode, and every path begins in row
+    # 0 without cost. The cells of an anti-diagonal depend only on the two previous anti-diagonals,
+    # so three arrays take turns.
     older, old, new = (np.full((num_rows + 1, num_episodes), np.inf + 0j) for _ in range(3))
     for diagonal in (older, old, new):
         diagonal[0] = 0.0
@@ -96,11 +100,12 @@ def align(
     return Alignment(best.real / cells, advance.astype(np.int64))
 
 
-# The reference is repeated often enough for a character at this tempo.
+# The reference is repeated often enough for a character that moves at this multiple of its tempo.
 _MAX_TEMPO = 2
-# Cost of a step off the clip's tempo, as a share of the bodies' mean distance from the root: 7 mm
-# for a human. Without this cost the nearest frame would be a matter of chance where poses are
-# nearly alike, as in a turn on the spot. A walk at half the tempo is still measured as half.
+# Cost of a step (1, 0) or (0, 1), as a share of the bodies' mean distance from the root: 7 mm for a
+# human. This cost keeps the clip's tempo where poses are nearly alike, as in a turn on the spot, so
+# that the nearest frame is not a matter of chance. The measured tempo of a walk at half the tempo
+# is still a half.
 _OFF_TEMPO = 0.02
 # Upper limit of the cost tensors of one chunk of episodes, in bytes.
 _CHUNK_BYTES = 200 * 2**20
@@ -118,10 +123,10 @@ def root_relative_pose(body_pos_w: Tensor, root_rot_w: Tensor) -> Tensor:
 
 
 class ReferencePoses:
-    """The reference clips, one pose per control step; a clip repeats for ever.
+    """The poses of the reference clips, one for each control step; a clip repeats for ever.
 
     Args:
-        clips: for each clip the poses (F, J, 3) m of `root_relative_pose`, F >= 1, sampled at the
+        clips: for each clip its poses (F, J, 3) m, F >= 1, from `root_relative_pose`, one for each
             control step. A cyclic clip must not repeat its first pose at the end.
     """
 
@@ -140,10 +145,10 @@ class Episode:
     """One recorded episode."""
 
     poses: Tensor  # (T, J, 3) m, float32 on the CPU, `root_relative_pose` of every control step
-    fell: bool  # whether it ended early by a fall
-    # Where its bodies were, for the share of the motion; None: that is not measured.
+    fell: bool  # whether the episode ended early by a fall
+    # Positions of the bodies, from which the share of the motion is measured, or None.
     track: Track | None = None
-    # Time of the only clip at which it started, if it ends with the clip.
+    # Time (s) in the only clip at which the episode started, if episodes end with the clip.
     start_s: float | None = None
 
 
@@ -173,7 +178,7 @@ class EpisodeRecorder:
     ) -> None:
         self.episodes: list[Episode] = []
         self._max_steps = max_steps
-        # An additional slot receives dropped steps, so that `record` needs no branch.
+        # An additional slot receives the dropped steps, so that `record` needs no branch.
         shape = (num_envs, max_steps + 1)
         self._body_pos_w = torch.zeros(*shape, num_bodies, 3, device=device)
         self._root_rot_w = torch.zeros(*shape, 4, device=device)
@@ -196,7 +201,8 @@ class EpisodeRecorder:
     def finish(self, env_ids: Tensor, fell: Tensor, starts_s: Tensor | None = None) -> None:
         """End the episodes of environments (n,).
 
-        `fell` (n,) bool tells which of them fell; `starts_s` (n,) are their `Episode.start_s`.
+        `fell` (n,) bool is True for episodes that ended by a fall; `starts_s` (n,) has each
+        `Episode.start_s`.
         """
         if self.complete or env_ids.numel() == 0:
             return
@@ -225,23 +231,23 @@ class ImitationResult:
     """The result of `PoseErrorMetric`; a value is nan if no episode could be measured."""
 
     pose_error_m: float  # mean of `per_episode` in m, over the episodes that could be measured
-    # (E,) m; nan for an episode with poses that are not finite.
+    # (E,) m, pose error of each episode; nan if a pose of the episode is not finite.
     per_episode: npt.NDArray[np.float64]
-    # (E,) index of each episode's nearest clip; -1 if `per_episode` is nan.
+    # (E,) index of each episode's nearest clip, or -1 if its entry in `per_episode` is nan.
     nearest_clip: npt.NDArray[np.int64]
-    # Mean number of reference frames per step: 1 is the clip's tempo, 0 a frozen pose, about 2 the
-    # largest value. A low pose error means little if the tempo is near 0. If the clip's poses are
-    # nearly alike, the measured tempo is nearer to 1 than the true tempo.
+    # Mean number of reference frames per step: the clip's tempo is 1, a frozen pose has 0, and the
+    # largest value is about 2. A low pose error means little if the tempo is near 0. If the clip's
+    # poses are nearly alike, the measured tempo is nearer to 1 than the true tempo.
     tempo: float
     # Share of the episodes that ended without a fall, 0 to 1. An episode that could not be measured
     # counts as a fall.
     no_fall_share: float
     mean_episode_steps: float  # mean length in control steps
     num_episodes: int  # E
-    # Share of the clips' motion that the episodes show, 0 to 1, see `motion_coverage`; nan if it
-    # was not measured.
+    # Share of the clips' motion that the episodes show, 0 to 1, see `motion_coverage`; nan if this
+    # share was not measured.
     motion_shown: float = math.nan
-    # The moment of the clips at which most falls begin; None if there is no common moment.
+    # The time in the clips at which most falls begin, or None if the falls have no common time.
     fall_moment: FallMoment | None = None
 
     def __str__(self) -> str:
@@ -250,7 +256,7 @@ class ImitationResult:
         return f"{error}{shown}, {self.no_fall_share:.0%} without a fall"
 
     def falls(self) -> str:
-        """Return a text about the ends of the episodes."""
+        """Return a text with the share of episodes without a fall and the mean length."""
         return (
             f"{self.no_fall_share:.0%} of {self.num_episodes} episodes without a fall, "
             f"{self.mean_episode_steps:.0f} steps on average"
@@ -261,7 +267,8 @@ class PoseErrorMetric:
     """Measures the pose error of episodes relative to their nearest reference clips.
 
     The clips are sampled at the episodes' control step. `max_steps` is the length of an episode
-    without an early end, for the coverage; None leaves out the coverage.
+    without an early end, which the coverage needs. If `max_steps` is None, the coverage is not
+    measured.
     """
 
     def __init__(
@@ -278,7 +285,7 @@ class PoseErrorMetric:
         """Measure E >= 1 episodes.
 
         Raises:
-            ValueError: the shape of the poses differs from the reference's.
+            ValueError: the shape of the poses differs from that of the reference poses.
         """
         if not episodes:
             raise ValueError("there is no episode to measure; record at least one")
@@ -314,7 +321,7 @@ class PoseErrorMetric:
     def _tempos(
         self, episodes: Sequence[Episode], nearest: npt.NDArray[np.int64]
     ) -> npt.NDArray[np.float64]:
-        """Return the tempo (E,) of episodes in their nearest clips (E,); nan if the clip is -1."""
+        """Return the tempo (E,) of episodes in their nearest clips (E,); nan where a clip is -1."""
         tempos = np.full(len(episodes), np.nan)
         for clip_id in np.unique(nearest[nearest >= 0]):
             clip = self.reference.clips[clip_id]
@@ -326,7 +333,7 @@ class PoseErrorMetric:
         return tempos
 
     def _coverage_of(self, episodes: Sequence[Episode]) -> dict[str, Any]:
-        """Return the share of the motion that episodes show, and the moment of most falls."""
+        """Return the share of the clips' motion that episodes show, and the time of most falls."""
         if self._coverage is None:
             return {}
         tracked = [(episode.track, episode) for episode in episodes if episode.track is not None]
@@ -349,21 +356,22 @@ def _aligned(
     clip: Tensor,
     off_tempo_m: float = 0.0,
 ) -> Iterator[tuple[npt.NDArray[np.int64], Alignment]]:
-    """Align the episodes `ids` with a clip (F, J, 3); yield parts of `ids` and their alignments.
+    """Align the episodes `ids` with a clip (F, J, 3); yield subsets of `ids` with their alignments.
 
-    The episodes of a part have similar lengths, and their cost tensors fit into `_CHUNK_BYTES`.
+    The episodes of a subset have similar lengths, and their cost tensors fit into `_CHUNK_BYTES`.
     """
     lengths = np.array([len(episodes[i].poses) for i in ids], dtype=np.int64)
     ids = ids[np.argsort(-lengths, kind="stable")]
     while len(ids):
-        # Two float32 tensors have the size of the cost: the sum and the distances of one body.
+        # Two float32 tensors have the size of the cost tensor: the sum over bodies and the
+        # distances of one body.
         size = max(1, _CHUNK_BYTES // (8 * len(clip) * len(episodes[ids[0]].poses)))
         part, ids = ids[:size], ids[size:]
         yield part, _align_with_clip([episodes[i].poses for i in part], clip, off_tempo_m)
 
 
 def _align_with_clip(episodes: Sequence[Tensor], clip: Tensor, off_tempo_m: float) -> Alignment:
-    """Align episodes [(T_e, J, 3)] with a clip (F, J, 3), repeated as often as they need."""
+    """Align episodes [(T_e, J, 3)] with a clip (F, J, 3), repeated as often as necessary."""
     lengths = np.array([len(poses) for poses in episodes])
     # (T, E, J, 3), padded with zeros, which `align` ignores.
     padded = torch.nn.utils.rnn.pad_sequence(list(episodes))
@@ -374,6 +382,6 @@ def _align_with_clip(episodes: Sequence[Tensor], clip: Tensor, off_tempo_m: floa
         # The matrix product would turn small distances into noise of 0.3 mm.
         cost += torch.cdist(frames, padded[:, :, body], compute_mode="donot_use_mm_for_euclid_dist")
     cost /= num_bodies
-    # An episode may start at any frame of the clip and go on with `_MAX_TEMPO`.
+    # An episode may start at any frame of the clip and then have the tempo `_MAX_TEMPO`.
     num_columns = len(clip) + _MAX_TEMPO * (lengths - 1)
     return align(cost.numpy(), lengths, num_columns, off_tempo_m)

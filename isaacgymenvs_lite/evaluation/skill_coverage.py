@@ -1,8 +1,9 @@
-"""Measures how many clips of its dataset a skill policy shows.
+"""Measures how many clips of its dataset a skill policy reproduces.
 
 The method is the nearest-neighbour analysis of Peng et al. 2022, "ASE: Large-Scale Reusable
-Adversarial Skill Embeddings" (arXiv 2205.01906). Every window of generated motion belongs to the
-clip with the most similar window; a clip is covered if enough windows belong to it.
+Adversarial Skill Embeddings" (arXiv 2205.01906). Every window (a short sequence of steps) of the
+policy's motion belongs to the clip with the most similar window; a clip is covered if enough
+windows belong to the clip.
 """
 
 from __future__ import annotations
@@ -14,23 +15,23 @@ import torch
 from torch import Tensor
 
 COVERED_SHARE = 0.01
-"""Smallest share of the generated windows of a covered clip."""
+"""A clip is covered if at least this share of the policy's windows belongs to it."""
 
 _CHUNK_ROWS = 1024
-# Smallest scale of a feature in its unit (m, m/s, rad/s, or parts of a unit vector); it prevents
-# that features which hardly vary in the clips are magnified.
+# Smallest scale of a feature in its unit (m, m/s, rad/s, or parts of a unit vector). Without this
+# limit, features that hardly vary in the clips would be magnified.
 _LEAST_SCALE = 0.01
 
 
 @dataclass(frozen=True)
 class ClipShares:
-    """The shares of the windows that are nearest to each clip, in descending order."""
+    """For each clip the share of the windows that belong to the clip, in descending order."""
 
     shares: dict[str, float]
 
     @property
     def coverage(self) -> float:
-        """Share of the clips that are nearest to at least `COVERED_SHARE` of the windows."""
+        """Share of the clips to which at least `COVERED_SHARE` of the windows belong."""
         covered = sum(share >= COVERED_SHARE for share in self.shares.values())
         return covered / len(self.shares)
 

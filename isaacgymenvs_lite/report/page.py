@@ -21,7 +21,8 @@ from isaacgymenvs_lite.utils.files import written_for_user
 MAX_VIDEO_BYTES = 8 * 2**20
 _REWARD = ("rewards/frame", "rewards/step")
 _LENGTH = ("episode_lengths/frame", "episode_lengths/step")
-# Maps titles of charts to labels of curves, and labels to tags; the first tag of the run is drawn.
+# Maps the title of each chart to a dictionary from labels of curves to tags. The first tag that the
+# run has is drawn.
 _CHARTS: dict[str, dict[str, tuple[str, ...]]] = {
     "Task reward of an episode": {"training": _REWARD, "mean policy": ("measured/reward",)},
     "Reward per step, by source": {
@@ -45,13 +46,13 @@ _CHARTS: dict[str, dict[str, tuple[str, ...]]] = {
         "clips": ("info/disc_demo_acc",),
     },
 }
-# Maps titles of charts to the beginning of the tags that the chart draws.
+# Maps the title of a chart to a prefix; the chart draws all tags that begin with the prefix.
 _FAMILIES = {
     "Errors of the goal": "goal/",
     "Reward terms, per step": "reward_terms/",
     "Losses": "losses/",
 }
-# Maps names to tags and the format of the newest value.
+# Maps the name of a fact to the tags of its scalar and to the format of the newest value.
 _NEWEST = {
     "task reward of an episode": (_REWARD, "{:.4g}"),
     "measured reward": (("measured/reward",), "{:.4g}"),
@@ -110,10 +111,10 @@ def write_report(run: Path, out: Path | None = None) -> Path:
 
 
 def summarize(config: str, scalars: Mapping[str, Series]) -> dict[str, str]:
-    """Return texts about the run by name, from the text of config.yaml and from the scalars."""
+    """Return a dictionary from names to facts about the run, from config.yaml and the scalars."""
     clock = first_of(scalars, FPS_TAGS)
     facts = {"task": "", "algorithm": ""}
-    with contextlib.suppress(Exception):  # of a damaged file the page shows the text
+    with contextlib.suppress(Exception):  # a damaged file has no facts
         tree = yaml.safe_load(config)
         facts["task"] = str(tree["task"]["name"])
         facts["algorithm"] = str(tree["train"]["params"]["algo"]["name"])
@@ -127,7 +128,7 @@ def summarize(config: str, scalars: Mapping[str, Series]) -> dict[str, str]:
 
 
 def charts_of(scalars: Mapping[str, Series]) -> dict[str, dict[str, Series]]:
-    """Return at most ten charts for which the run has scalars: scalars by title and label."""
+    """Map the titles of at most ten charts to dictionaries from labels of curves to scalars."""
     charts = {
         title: {label: first_of(scalars, tags) for label, tags in lines.items()}
         for title, lines in _CHARTS.items()
@@ -144,7 +145,8 @@ def charts_of(scalars: Mapping[str, Series]) -> dict[str, dict[str, Series]]:
 
 def _draw(title: str, lines: Mapping[str, Series]) -> str:
     """Return a chart as an HTML element."""
-    # Labels may be tags of a stranger's files, so matplotlib must not read them as formulas.
+    # Labels may come from the files of a stranger, so matplotlib must not read the labels as
+    # formulas.
     with matplotlib.rc_context({"text.parse_math": False}):
         figure = Figure(figsize=(5.6, 2.8), dpi=100, layout="constrained")
         panel = figure.subplots()
@@ -169,7 +171,7 @@ def _is_own(file: Path, run: Path) -> bool:
 
 
 def _video(run: Path) -> str:
-    """Return the newest video of a run as HTML, or the name of a large video; '' without one."""
+    """Return HTML with a run's newest video or, if it is large, its name; '' without a video."""
     own = (file for file in run.glob("videos/**/*.mp4") if _is_own(file, run))
     file = max(own, key=lambda file: file.stat().st_mtime, default=None)
     if file is None:

@@ -12,10 +12,11 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 FPS_TAGS = ("performance/total_fps", "performance/step_inference_rl_update_fps")
-"""The tags that measure the time of a run, because our agents and rl_games' agents write them after
-every epoch."""
+"""The tags that measure the time of a run. The agents of this project and of rl_games write one of
+these tags after every epoch."""
 
-# Suffixes of tags over epochs or seconds. Most of these scalars also exist over frames.
+# A tag with one of these suffixes has epochs or seconds in place of frames as its step. Most of
+# these scalars also exist with frames as their step.
 _OTHER_AXES = ("/iter", "/time")
 _OVER_EPOCHS = "Episode/"
 
@@ -25,7 +26,7 @@ class Series:
     """One scalar over a training.
 
     Attributes:
-        frames: (n,) frames before the epoch of each value, TensorBoard's step.
+        frames: (n,) frames before the epoch of each value, which are the step in TensorBoard.
         minutes: (n,) training time of each value.
         values: (n,) the scalar.
         resumed_at: frames at which the training was resumed.
@@ -42,7 +43,7 @@ class Series:
 
     @property
     def last(self) -> float:
-        """The newest value; nan without values."""
+        """The newest value, or nan if there are no values."""
         return float(self.values[-1]) if len(self) else float("nan")
 
     def without(self, frames: float) -> Series:
@@ -70,7 +71,7 @@ NOTHING = Series(np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 def first_of(scalars: Mapping[str, Series], tags: Sequence[str]) -> Series:
-    """Return the scalar of the first tag that exists; `NOTHING` if no tag exists."""
+    """Return the scalar of the first tag that exists, or `NOTHING` if no tag exists."""
     return next((scalars[tag] for tag in tags if tag in scalars), NOTHING)
 
 
@@ -82,12 +83,13 @@ def event_files(summaries: Path) -> list[Path]:
 def read_scalars(summaries: Path) -> dict[str, Series]:
     """Read all scalars over frames from the event files in a run's folder summaries/.
 
-    Minutes are wall-clock time since the agent was made, some seconds after the command; they
-    include measurements and checkpoints. The parts of a resumed run follow one another without the
-    pause. Values and minutes after the checkpoint from which a run was resumed are left out.
+    Minutes are wall-clock time since the agent was made, some seconds after the start of the
+    command; the minutes include measurements and checkpoints. The time between the parts of a
+    resumed run does not count. Values and minutes after the checkpoint from which a run was resumed
+    are left out.
 
     Returns:
-        The scalars by their tags; empty if no file has an epoch.
+        A dictionary from tags to scalars, which is empty if no file has an epoch.
     """
     parts: dict[str, list[FloatArray]] = {}  # arrays (n, 3)
     starts: list[float] = []
@@ -111,7 +113,7 @@ def read_scalars(summaries: Path) -> dict[str, Series]:
 
 def _read_file(file: Path) -> dict[str, FloatArray]:
     """Return rows (frames, minutes, value) for every scalar over frames in one event file."""
-    # This import takes half a second, for which an error message should not wait.
+    # This import takes half a second, so error messages come before it.
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     events = EventAccumulator(str(file), {"scalars": 0})
