@@ -87,7 +87,7 @@ def read_settings(cls: type[T], words: Sequence[str]) -> T:
     """Read `["key=value", ...]` with YAML's values into a settings dataclass.
 
     Raises:
-        ConfigError: a word lacks =, a key is unknown, or a value cannot be used.
+        ConfigError: an argument lacks =, a key is unknown, or a value cannot be used.
     """
     known = [field.name for field in dataclasses.fields(cls)]
     for word in words:

@@ -7,8 +7,8 @@
     register(runner)
     runner.load(yaml_config)    # config: env_name: rlgpu, env_config: {task: HumanoidAMP, ...}
 
-`amp_agent` is then `LeastSquaresAMPAgent`. If the caller registers `AMPAgent` instead, the style
-reward is logistic, as in IsaacGymEnvs.
+`amp_agent` is then `LeastSquaresAMPAgent`. If the caller registers `AMPAgent` as `amp_agent`, the
+style reward is logistic, as in IsaacGymEnvs.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def register_algorithms(runner: Runner) -> None:
 
 def register_networks() -> None:
     """Register our models, networks and tasks with rl_games, for all Runners."""
-    # rl_games uses torch.jit.script; torch 2.14 prints a warning that no user can mend.
+    # torch 2.14 warns because rl_games uses torch.jit.script, which no user can change.
     warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
     # The first backward pass on a GPU prints this warning, although torch then makes the context.
     no_context = "Attempting to run cuBLAS, but there was no current CUDA context"

@@ -538,7 +538,7 @@ def _measurement_observer(
         frequency = max(1, min(frequency, epochs // _MEASUREMENTS))
 
     def make_quietly(num_envs: int) -> VecTask:
-        # The training's own task has already logged the contents of its files.
+        # The task of the training has already logged the contents of the same files.
         with _quiet("isaacgymenvs_lite"):
             return make_task(num_envs)
 

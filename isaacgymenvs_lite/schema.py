@@ -113,8 +113,8 @@ def read_section(
         cls: a dataclass whose fields are the keys; `setting` adds limits and choices.
         mapping: a plain or an OmegaConf mapping; None counts as empty.
         where: path of the section, for messages: "task.env"; "" for the root.
-        ignored: keys that other code reads, or that nothing reads on purpose. None means that other
-            code reads all other keys.
+        ignored: keys that other code reads, or that no code is meant to read. None means that other
+            code reads all keys that `cls` lacks.
         complete: whether the section has all its keys. An unknown key that resembles any known key
             is then misspelt.
 
@@ -147,7 +147,7 @@ def read_section(
 
 
 def read_keys(cls: type[T], mapping: Mapping[Any, Any] | None, where: str) -> T:
-    """Fill the settings dataclass `cls` from a section whose other keys are read elsewhere.
+    """Fill the settings dataclass `cls` from a section; other code reads keys that `cls` lacks.
 
     Raises:
         ConfigError: as in `read_section`.
@@ -182,7 +182,7 @@ def check_unknown_keys(
     *,
     complete: bool = False,
 ) -> None:
-    """Refuse keys of `values` that look misspelt, and log the other unknown keys.
+    """Refuse unknown keys of `values` that look misspelt, and log all further unknown keys.
 
     If `complete` is False, an unknown key does not look misspelt when `values` also has the known
     key that it resembles.
@@ -353,7 +353,7 @@ def _convert_scalar(value: Any, kind: Any) -> Any:
 
 
 def _split_optional(kind: Any) -> tuple[bool, Any]:
-    """Split `X | None` into (True, X); any other kind is (False, kind)."""
+    """Split the type `X | None` into (True, X); return (False, kind) for any other type."""
     if typing.get_origin(kind) not in (typing.Union, types.UnionType):
         return kind is Any, kind
     (member,) = (member for member in typing.get_args(kind) if member is not types.NoneType)

@@ -170,7 +170,7 @@ def split_options(words: Sequence[str]) -> tuple[dict[str, str | None], list[str
 
 
 def _run_job(cfg: DictConfig, command: TypedCommand) -> float | None:
-    """Check the composed tree, then train or play; return the result of the run.
+    """Check the composed tree, then train or play a policy; return the result of the run.
 
     A user's mistake ends the process here, because Hydra prints a line before it passes on an
     error.
@@ -241,7 +241,7 @@ class _ProgressBarHandler(logging.Handler):
     """Writes messages above a running progress bar, which stays intact."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        # The training goes on to its checkpoint even if the terminal was closed.
+        # If the terminal was closed, the training still continues until its checkpoint.
         with contextlib.suppress(OSError):
             tqdm.write(self.format(record), file=sys.stderr)
 

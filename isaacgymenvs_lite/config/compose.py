@@ -175,7 +175,7 @@ def explain_interpolation(error: OmegaConfBaseException) -> ConfigError:
 
 
 def _missing_file(error: MissingConfigException, words: Sequence[str]) -> ConfigError:
-    """Explain a task, train or other file that does not exist."""
+    """Return the error for a configuration file that does not exist."""
     group, _, name = (error.missing_cfg_file or "").rpartition("/")
     if error.options is None or not group:
         return ConfigError(one_line(str(error).split("\nConfig search path")[0]))
@@ -199,7 +199,7 @@ def _missing_file(error: MissingConfigException, words: Sequence[str]) -> Config
 
 
 def _unknown_key(key: str, files: StagedFiles) -> ConfigError:
-    """Explain a key that the tree does not have; list the keys at its level."""
+    """Return the error for a key that the tree lacks; the error lists the keys beside it."""
     groups = [word for word in files.words if word.partition("=")[0].split("/")[0] in GROUPS]
     try:
         tree: Any = OmegaConf.to_container(_compose_in(files.folder, groups), resolve=False)

@@ -4,10 +4,10 @@ Hydra finds files by their names in folders. This module copies a file that a co
 its path (`train=/path/to/AntPPO.yaml`), and the files of `--config-dir` or `--config-path`, to a
 temporary folder. Hydra searches this folder first and cfg/ next.
 
-The module is also the boundary for files that somebody else wrote. Hydra's own section of a
-configuration can do what a program can: Hydra imports and calls the Python names of its callbacks,
-launchers and log handlers. A file is refused here if it sets this section, names something to be
-imported, or reads the environment of this process. docs/foreign_files.md has the list for users.
+The module also checks files that somebody else wrote. The section `hydra` of a configuration can do
+what a program can: Hydra imports and calls the Python names of its callbacks, launchers and log
+handlers. A file is refused here if it sets this section, names something to be imported, or reads
+the environment of this process. docs/foreign_files.md has the list for users.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Reads a train file without a task, for a user's own Runner or a low-level controller."""
+"""Reads a train file without a task, for the Runner of a user or for a low-level controller."""
 
 from __future__ import annotations
 

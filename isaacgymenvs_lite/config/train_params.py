@@ -144,7 +144,8 @@ def prepare_train_params(
         "pbt_idx": pbt.get("policy_idx", 0) if has_population else None,
         "full_experiment_name": run_name,
         "env_name": config.get("env_name", ENV_NAME),
-        # The agents join the other ranks themselves; rl_games would start NCCL in the constructor.
+        # The agents connect their processes without rl_games, which would start NCCL in the
+        # constructor.
         "multi_gpu": False,
     }
     if params["algo"]["name"] != "sac":
@@ -338,7 +339,8 @@ def checkpoint_in_file(tree: Mapping[str, Any]) -> str:
     """Return the checkpoint that the train file names, or '' if it names none.
 
     IsaacGymEnvs' files interpolate `checkpoint=`; other files have `load_checkpoint: True` and a
-    path. The first versions of rl_games read both keys, version 1.6.5 reads neither.
+    path. The first versions of rl_games read the keys `load_checkpoint` and `load_path`; version
+    1.6.5 ignores them.
     """
     params = tree["train"]["params"]
     if not params.get("load_checkpoint") or tree.get("checkpoint"):

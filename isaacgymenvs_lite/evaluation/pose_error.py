@@ -2,7 +2,7 @@
 
 The error of a frame is the mean distance between the bodies of the character and of the reference,
 relative to the roots and in their heading frames. An episode is aligned with the repeated clip by
-subsequence dynamic time warping, because the policy chooses its own phase and tempo.
+subsequence dynamic time warping, because the policy chooses phase and tempo.
 `docs/imitation_metric.md` explains the results.
 
 References:

@@ -26,7 +26,7 @@ class ReportSettings:
     """Arguments of the command in addition to the run."""
 
     out: str = setting("")
-    """Path of the page; '' means report.html in the run's folder."""
+    """Path of the report; '' means report.html in the run's folder."""
 
 
 def main(arguments: list[str] | None = None) -> int:

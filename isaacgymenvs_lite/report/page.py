@@ -85,7 +85,7 @@ def write_report(run: Path, out: Path | None = None) -> Path:
         raise ConfigError(f"{run}: its event files cannot be read ({error})") from error
     if not scalars:
         raise ConfigError(f"{run}: no epoch has ended yet; try again later")
-    config_file = run / "config.yaml"  # rl_games' own runs have none
+    config_file = run / "config.yaml"  # runs of rl_games lack this file
     config = config_file.read_text("utf-8", "replace") if _is_own(config_file, run) else ""
     charts = "\n".join(_draw(title, lines) for title, lines in charts_of(scalars).items())
     title = html.escape(run.absolute().name)

@@ -47,7 +47,7 @@ class Series:
         return float(self.values[-1]) if len(self) else float("nan")
 
     def without(self, frames: float) -> Series:
-        """Return the series without the values of the first `frames` after each resumption."""
+        """Return the series without values in the first `frames` frames after each resumption."""
         kept = np.ones(len(self), dtype=bool)
         for start in self.resumed_at:
             kept &= (self.frames < start) | (self.frames >= start + frames)

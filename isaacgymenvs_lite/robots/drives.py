@@ -53,8 +53,8 @@ _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 class Motor:
     """The motor of a joint in a file: kp, kd and effort in the joint's units; None means unknown.
 
-    A joint that follows another joint (`mimic`) has no motor, because its drive would pull against
-    the other joint.
+    A joint that follows a leading joint (`mimic`) has no motor, because the drive of the follower
+    would pull against the leading joint.
     """
 
     kp: float | None = None
@@ -84,9 +84,9 @@ def choose_drives(
 ) -> list[Drive]:
     """Choose the gains of all hinges and balls from the settings, else the file, else an estimate.
 
-    The file's kp and kd come from its position actuator. The estimate of kp follows from the effort
-    of the joint or its motor, or from the robot's weight if the effort is unknown; kd follows from
-    kp.
+    The file's kp and kd come from its position actuator. The estimate of kp is computed from the
+    effort of the joint or its motor, or from the robot's weight if the effort is unknown. The
+    estimate of kd is computed from kp.
 
     Raises:
         ConfigError: a pattern matches no joint, or no pattern matches a joint.

@@ -201,7 +201,7 @@ def read_robot_file(path: str | Path, with_sensors: bool = False) -> RobotFile:
 
 
 def _check_texts(root: ET.Element, files: RobotFiles) -> None:
-    """Refuse plugins, nested models and includes from other folders, in all included files."""
+    """Refuse plugins, nested models and includes from other folders in a file and its includes."""
     waiting, known = [(root, files.path)], {files.path}
     while waiting:
         root, file = waiting.pop()

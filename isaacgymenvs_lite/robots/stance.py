@@ -57,9 +57,9 @@ class _Leg:
 def bend_legs(model: mujoco.MjModel, qpos: Vector) -> Vector | None:
     """Return the pose with each foot below its hip at 0.75 of the leg's length, or None.
 
-    A knee that can bend to both sides bends backwards. The search starts from the pose `qpos` (Q,).
-    The result is None if the robot has fewer than four legs, if its legs are sprawled, if the
-    limits of a leg's joints prevent the pose, or if not all feet would be on the floor.
+    A knee that can bend forwards and backwards bends backwards. The search starts from the pose
+    `qpos` (Q,). The result is None if the robot has fewer than four legs, if its legs are sprawled,
+    if the limits of a leg's joints prevent the pose, or if not all feet would be on the floor.
     """
     # Legs are the limbs that touch the floor, or all limbs of a robot that lies on its trunk.
     ends = [model.body(name).id for name in limb_ends(model, qpos)]

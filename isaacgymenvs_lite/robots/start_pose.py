@@ -140,7 +140,7 @@ def lowest_points(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, float
 
 
 def geoms_that_touch(model: mujoco.MjModel) -> list[int]:
-    """Return the geoms of moving bodies that can touch others."""
+    """Return those geoms of moving bodies that can touch other geoms."""
     paired = {*model.pair_geom1, *model.pair_geom2}
     return [
         geom

@@ -257,7 +257,7 @@ def add_stage(spec: mujoco.MjSpec) -> None:
         for name in _COPIED_OF_FLOOR:
             setattr(own, name, getattr(floor, name))
         spec.delete(floor)
-        for pair in spec.pairs:  # pairs use the floor's old name
+        for pair in spec.pairs:  # contact pairs use the old name of the floor
             pair.geomname1 = "floor" if pair.geomname1 == own.name else pair.geomname1
             pair.geomname2 = "floor" if pair.geomname2 == own.name else pair.geomname2
         floor = own

@@ -343,12 +343,12 @@ class FolderLock:
 # --- rescued runs -----------------------------------------------------------------------------
 #
 # If a run folder cannot be written, its checkpoints go to a private folder of the user below the
-# system's temporary folder. Every folder of runs has its own folder there, in which the runs have
-# the usual form: `<run name>/config.yaml` and `<run name>/nn/`.
+# system's temporary folder. The private folder contains a folder for every folder of runs, in which
+# the runs have the usual form: `<run name>/config.yaml` and `<run name>/nn/`.
 
 
 def _rescue_dir(train_dir: Path) -> Path:
-    """Make the private folder and return the folder for rescued runs of `train_dir` in it."""
+    """Make the private folder; return the path in it for rescued runs of `train_dir`."""
     root = _private_root()
     root.mkdir(mode=0o700, exist_ok=True)
     if not _is_private(root):

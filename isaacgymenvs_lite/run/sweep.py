@@ -1,4 +1,4 @@
-"""Runs the jobs of `train.py -m` and lists them at the end; a failed job does not end the others.
+"""Runs the jobs of `train.py -m` and lists all jobs at the end, even if some of them fail.
 
 Hydra composes the jobs and runs them in this process or in other processes. Each job has a separate
 run folder and writes one line into `jobs.csv` in the sweep's folder.
@@ -134,7 +134,7 @@ class Summary(Callback):
 
 @contextlib.contextmanager
 def waiting_for_jobs() -> Iterator[None]:
-    """Wait after the first Ctrl-C for jobs in other processes, which finish their epochs.
+    """After the first Ctrl-C wait until jobs in other processes have finished their epochs.
 
     A terminal sends Ctrl-C to all processes. A second Ctrl-C ends all processes at once.
     """

@@ -18,10 +18,11 @@ _ATTEMPTS = 3
 
 
 class WandbObserver(AlgoObserver):
-    """Opens a run before the agent makes its TensorBoard writer, which wandb then mirrors.
+    """Opens a run of wandb before the agent makes the TensorBoard writer that wandb mirrors.
 
-    A failure (no network, no login) is logged, and the training goes on without wandb. The run has
-    the name of the run folder unless `wandb_name` differs from the train file's name.
+    A failure (no network, no login) is logged, and the training continues without wandb. The run in
+    wandb has the name of the run folder unless `wandb_name` differs from the name in the train
+    file.
     """
 
     def __init__(self, tree: dict[str, Any], settings: LaunchSettings, run_name: str) -> None:

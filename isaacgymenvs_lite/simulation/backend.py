@@ -178,9 +178,10 @@ class SimulationBackend(Protocol):
     def write_object_states(self, env_ids: Tensor, object_ids: Tensor, states: Tensor) -> None:
         """Set k objects (indices of `object_names`) of n environments to states (n, k, 13).
 
-        Ids must be unique; their order is free. No other object, no robot and no other environment
-        changes by a bit. The initial values of the solver are cleared in the n environments, so
-        that the next steps of these environments depend only on states and controls.
+        Ids must be unique and may have any order. No other object, no robot and no other
+        environment changes by a bit. The initial values of the solver are cleared in the n
+        environments, so that the next steps of these environments depend only on states and
+        controls.
         """
         ...
 

@@ -1,8 +1,9 @@
 """Implements the backend Protocol by `mujoco.batch.Batch`, on the CPU.
 
-The batch keeps float64 rows; each step converts them once into the preallocated float32 tensors
-that tasks read. Poses and velocities of the bodies, which some tasks do not need, are computed by
-`utils.kinematics` when a task reads them. MuJoCo's functions would do several times the work.
+The batch keeps float64 rows; each step converts these rows once into the preallocated float32
+tensors that tasks read. Poses and velocities of the bodies, which some tasks do not need, are
+computed by `utils.kinematics` when a task reads them. MuJoCo's functions would do several times the
+work.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ log = logging.getLogger(__name__)
 _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 # MuJoCo resets a simulation to its default state after one of these warnings.
 _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
-# A simulation with a faster joint (rad/s or m/s) counts as diverged. PhysX limits bodies to 100
-# rad/s.
+# A simulation counts as diverged if a joint is faster (rad/s or m/s) than this limit. PhysX limits
+# bodies to 100 rad/s.
 MAX_SPEED = 1000.0
 # Least work of a thread. Waking a thread takes some 10 us, on a busy machine 100 us.
 _WORK_PER_THREAD_S = 50e-6
@@ -94,7 +95,8 @@ class CpuBatchSimulation:
     def _bind_views(self, batch: Batch) -> None:
         self._state_rows = batch.state
         self._default_state = batch.state[0].copy()
-        # Time, qpos, qvel, activations, warm start and controls come first in a state.
+        # A state begins with time, qpos, qvel, activations, initial values of the solver, and
+        # controls.
         until_controls = 2 * int(mujoco.mjtState.mjSTATE_CTRL) - 1
         num_changing = mujoco.mj_stateSize(self.model, until_controls)
         self._history = StepHistory(self._state_rows, num_changing)
@@ -391,8 +393,8 @@ class CpuBatchSimulation:
 def _worthwhile_threads(model: mujoco.MjModel, num_envs: int, substeps: int) -> int:
     """Return the number of threads that have enough work in a control step.
 
-    The work is estimated from the shortest of a few timed physics steps, because other work on the
-    machine makes steps longer.
+    The work is estimated from the shortest of a few timed physics steps, because other programs on
+    the machine make steps longer.
     """
     cpus = min(thread_count(), num_envs)
     if cpus == 1:

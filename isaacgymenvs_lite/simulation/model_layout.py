@@ -36,12 +36,12 @@ class ModelLayout:
     ball_dofs: np.ndarray  # (balls, 3) the degrees of freedom of each ball joint
     scalar_qpos: np.ndarray  # (scalars,) qpos columns of hinges and slides
     scalar_dofs: np.ndarray  # (scalars,) degrees of freedom of hinges and slides
-    # (B, 3) columns of sensordata with the net contact force of each body; None if the model has no
-    # `contact_<body>` sensors.
+    # (B, 3) columns of sensordata with the net contact force of each body. The value is None if the
+    # model has no `contact_<body>` sensors.
     contact_columns: np.ndarray | None
     has_free_root: bool  # whether the first joint is a free joint
     object_names: tuple[str, ...]  # K names; object tensors use this order
-    object_contact_columns: np.ndarray | None  # (K, 3) columns of sensordata of the objects
+    object_contact_columns: np.ndarray | None  # (K, 3) columns of sensordata, per object
     sensor_columns: dict[str, slice]  # columns of sensordata of each named sensor
 
     @property

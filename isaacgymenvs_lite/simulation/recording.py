@@ -1,8 +1,8 @@
 """Keeps the last control steps of simulations, and writes the steps before a divergence to a file.
 
-A diverged simulation is reset, so that the steps before it would be lost. `StepHistory` copies the
-complete state before each control step. A `Recording` contains these states of one simulation and
-is stored in a small .npz file. `replay` computes the steps again.
+A diverged simulation is reset. To keep the steps before the divergence, `StepHistory` copies the
+state before each control step. A `Recording` contains these states of one simulation and is stored
+in a small .npz file. `replay` computes the steps again.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ class StateBuffers:
 
 
 def _replace_columns(mine: Floats, columns: npt.NDArray[np.integer], theirs: Floats) -> None:
-    # torch's indexing is several times as fast as numpy's.
+    # Indexing in torch is several times as fast as in numpy.
     ids = torch.from_numpy(columns)
     torch.from_numpy(mine).index_copy_(mine.ndim - 1, ids, torch.from_numpy(theirs))
 
@@ -234,7 +234,7 @@ def fill_free_states(states: Floats, qpos: Floats | Doubles, qvel: Floats | Doub
 def free_joint_coordinates(states: Doubles) -> tuple[Doubles, Doubles]:
     """Return qpos (7, ..., n) and qvel (6, ..., n) of states (13, ..., n).
 
-    The velocity does not depend on the length of the quaternion.
+    The length of the quaternion in a state has no influence on the velocity.
     """
     qpos = np.empty((QPOS_SIZE, *states.shape[1:]))
     qpos[_QPOS_ROWS] = states[:7]

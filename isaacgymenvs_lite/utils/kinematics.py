@@ -102,7 +102,7 @@ class KinematicTree:
 
     Args:
         model: the compiled model; later changes of its values have no effect.
-        num_bodies: B, which must include all parents; None for all bodies.
+        num_bodies: B; these bodies must include their parents. None means all bodies.
 
     Attributes:
         order: (B,) the bodies in the order of their rows, nearest to the world first.
@@ -148,7 +148,7 @@ class Kinematics:
 
     Args:
         model: the compiled model; later changes of its values have no effect.
-        num_bodies: B, which must include all parents; None for all bodies.
+        num_bodies: B; these bodies must include their parents. None means all bodies.
     """
 
     def __init__(self, model: mujoco.MjModel, num_bodies: int | None = None) -> None:

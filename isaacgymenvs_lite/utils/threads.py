@@ -141,7 +141,7 @@ class TorchThreads:
                 return
             self.before = self.given = number
         if id(task) not in self.limits:
-            # A task that is never closed must not keep its limit for ever.
+            # When a task that was not closed is deleted, its limit must end.
             weakref.finalize(task, self.remove, id(task)).atexit = False
         self.limits[id(task)] = most
         self._apply()
