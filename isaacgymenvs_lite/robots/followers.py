@@ -87,7 +87,7 @@ class Followers:
         address = self._model.jnt_qposadr
         poses = np.array(qpos, dtype=np.float64)
         for follower in self._in_order:
-            moved = np.asarray(0.0)  # the polynomial of a held joint is its constant
+            moved = np.asarray(0.0)  # a held joint has a constant polynomial
             if follower.leader is not None:
                 moved = poses[..., address[follower.leader]] - follower.leader_start
             place = follower.start + follower.polynomial(moved)

@@ -49,15 +49,15 @@ _ABSURD = 10.0  # no motor reaches this multiple of weight times height
 class PreparedRobot:
     """A robot with a free root, drives, contact sensors and a floor."""
 
-    spec: mujoco.MjSpec  # tasks that add parts compile it again
+    spec: mujoco.MjSpec  # a task that adds parts compiles the spec again
     model: mujoco.MjModel  # `spec`, compiled
     layout: ModelLayout  # names and addresses of `model`
-    drives: tuple[Drive, ...]  # of all hinges and ball joints, in the order of the joints
+    drives: tuple[Drive, ...]  # drives of all hinges and ball joints, in the order of the joints
     # Names of the bodies whose positions are observed, usually hands and feet.
     key_bodies: tuple[str, ...]
     contact_bodies: tuple[str, ...]  # names of the bodies that may touch the floor
     start_qpos: npt.NDArray[np.float64]  # (Q,) the start pose, on the floor at x = y = 0
-    mass_height: float  # height (m) of the centre of mass above the floor in this pose
+    mass_height: float  # height (m) of the centre of mass above the floor in the start pose
     action_range_rad: float  # offset of the drives' targets for an action of 1
     notes: tuple[str, ...]  # sentences about added, removed and repaired parts
 
@@ -70,15 +70,14 @@ class PreparedRobot:
     def trunk_height(self) -> float:
         """Height of the trunk in the start pose (m).
 
-        The trunk's height is the base's height. If the base is lower than half of the height of the
-        centre of mass (some files have a base on the ground), it is the height of the centre of
-        mass.
+        The trunk's height is the base's height. If the base is on the ground, lower than half of
+        the height of the centre of mass, the trunk's height is the height of the centre of mass.
         """
         on_ground = self.start_height < 0.5 * self.mass_height
         return self.mass_height if on_ground else self.start_height
 
     def describe(self) -> list[str]:
-        """Return lines about the robot and its drives for the user."""
+        """Return text lines for the user about the robot and its drives."""
         gains: dict[str, list[str]] = {}
         for drive in self.drives:
             key = f"{drive.kp:.4g} / {drive.kd:.3g} / {drive.effort:.4g}"
@@ -131,7 +130,7 @@ def prepare_robot(
     notes = structure.name_everything(spec)
     notes += structure.check_equalities(spec)
     keys = _compile(spec)
-    Followers(keys)  # refuses loops while they are complete
+    Followers(keys)  # refuses loops before any joint is removed
     motors = motors_of_file(keys)
     if spec.actuators:
         notes.append(f"replaced {len(spec.actuators)} actuators of the file by position drives")
