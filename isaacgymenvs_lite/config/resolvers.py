@@ -78,10 +78,11 @@ def register_for(script: str) -> None:
 
 
 def forbidden_resolver(text: str) -> str | None:
-    """Return the first interpolation in a text that reads more than the configuration, or None.
+    """Return the first interpolation in a text that is refused in foreign files, or None.
 
-    A resolver of another package may run code or read the environment. A nested interpolation and
-    a single $ are also refused, because resolving the text could turn them into calls of resolvers.
+    A resolver of another package is refused because it may run code or read the environment. A
+    nested interpolation and a single $ are also refused, because resolving the text could turn them
+    into calls of resolvers.
     """
     for found in _INTERPOLATION.finditer(text):
         path, end = found.groups()

@@ -61,9 +61,9 @@ def bodies_named(model: mujoco.MjModel, names: Sequence[str], where: str) -> tup
 def limb_ends(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
     """Return the last bodies of all limbs: hands, feet, and a head or tail with joints.
 
-    A limb is a chain with at least one joint. The end of a limb is a body with a shape that is
-    fixed to the last link (rotors, sensors and feet are fixed to links): the body that is farthest
-    away in the pose `qpos` (Q,). A hand with fingers counts as one end.
+    A limb is a chain with at least one joint. Several bodies with shapes (rotors, sensors, feet)
+    may be fixed to the last link of a limb. The end of the limb is the body that is farthest from
+    the link in the pose `qpos` (Q,). A hand with fingers counts as one end.
     """
     places = posed(model, qpos).xpos
     size = float(np.ptp(places[1:], axis=0).max())

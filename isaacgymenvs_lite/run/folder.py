@@ -222,7 +222,7 @@ _OPEN: list[RunFolder] = []
 
 
 def folder_of_checkpoint(checkpoint: Path) -> RunFolder:
-    """Return the run folder of a checkpoint; it is reused if this process has opened it."""
+    """Return the run folder of a checkpoint, or its open object if this process trains there."""
     for folder in _OPEN:
         if checkpoint.parent in (folder.checkpoints, folder.checkpoints.absolute()):
             return folder
