@@ -32,7 +32,7 @@ def mutate_float_min_1(x: float, **options: Any) -> float:
 
 
 def mutate_eps_clip(x: float, **options: Any) -> float:
-    """Return the result of `mutate_float`, clipped to the useful values 0.01 to 0.3 of PPO."""
+    """Return the result of `mutate_float`, clipped to [0.01, 0.3], for PPO's `e_clip`."""
     return min(0.3, max(0.01, mutate_float(x, **options)))
 
 

@@ -144,7 +144,7 @@ class ObjectiveMeter:
         return mean if math.isfinite(mean) else None
 
     def end_interval(self, value: float) -> float:
-        """Return the best of `value` and the values since the last call, and forget these values."""
+        """Return the best of `value` and all values since the last call; forget all of them."""
         best, self._best = max(self._best, value), -math.inf
         return best
 

@@ -43,9 +43,9 @@ class RestartRequest(Exception):  # noqa: N818  This exception leaves rl_games' 
 
     @property
     def overrides(self) -> list[str]:
-        """The settings as overrides of a command line."""
+        """The settings as overrides for the command line."""
         return [
-            # A relative `checkpoint` could be mistaken for the name of a policy.
+            # The command line is searched for `checkpoint=`, which must therefore have no `++`.
             f"{'' if path == 'checkpoint' else '++'}{path}={as_override(value)}"
             for path, value in self.settings.items()
         ]

@@ -12,7 +12,7 @@ from torch import Tensor
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations
 
 ACTOR_GROUP, CRITIC_GROUP = "policy", "critic"
-"""Maps `obs` and `states` (of asymmetric critics) to rsl_rl's observation groups."""
+"""rsl_rl's names for the group of observations and the group of states of asymmetric critics."""
 
 
 class RslRlVecEnvWrapper(VecEnv):

@@ -84,7 +84,7 @@ class Sb3VecEnvWrapper(VecEnv):
         super().__init__(self.task.num_envs, self.task.observation_space, self.task.action_space)
 
     def reset(self) -> Floats:
-        """Start new episodes with the seed of the last call of `seed`; return observations (N, F)."""
+        """Start new episodes with the seed set by `seed`; return observations (N, F)."""
         seed = self._seeds[0]
         self._reset_seeds()
         self._reset_options()
