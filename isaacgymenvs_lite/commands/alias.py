@@ -128,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.exit(EXIT_USER_ERROR, f"error: {args.script}: no such file; give a Python script\n")
     install()
     sys.argv = [str(args.script), *args.arguments]
-    # Scripts can import modules from the script's folder, because Python allows this, too.
+    # Python adds the script's folder to the import path when it runs a script.
     sys.path.insert(0, str(args.script.resolve().parent))
     # If the script does not configure logging, the log of this package is printed.
     logging.getLogger(_NEW).setLevel(logging.INFO)

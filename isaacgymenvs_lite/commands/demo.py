@@ -52,7 +52,7 @@ _SEED = 1
 _SKILL_NETWORKS = ("gen_amp", "ase", "hrl")
 _SHOWN_EPISODES = 3
 _POSES_OF_A_STRIP = 8
-# The policies that the README shows; they come first in lists.
+# The policies in the README, which come first in lists of policies.
 _BEST_FIRST = (
     *("backflip", "spinkick", "g1_walk", "walk", "heading", "cartwheel", "run", "g1_velocity"),
     *("getup", "locomotion_skills", "anymal", "humanoid", "ant"),

@@ -40,7 +40,7 @@ class ExportedPolicy:
     run: Callable[[Arrays], dict[str, npt.NDArray[Any]]]
 
     def __call__(self, inputs: Arrays) -> dict[str, npt.NDArray[Any]]:
-        """Map a dictionary from input names to arrays to a dictionary from output names to arrays."""
+        """Return a dictionary from output names to arrays; `inputs` maps input names to arrays."""
         return self.run(inputs)
 
 

@@ -42,7 +42,7 @@ def mutate_mini_epochs(x: int, rng: Generator = _GLOBAL, **_: Any) -> int:
 
 
 def mutate_discount(x: float, rng: Generator = _GLOBAL, **_: Any) -> float:
-    """Return max(0, 1 - d), with d = 1 - x multiplied or divided by a factor of 1.1 to 1.2."""
+    """Multiply or divide 1 - x by a factor of 1.1 to 1.2; return 1 minus the result, or 0."""
     # The factor is small, because small changes of the discount change learned values a lot.
     return max(0.0, 1.0 - mutate_float(1.0 - x, 1.1, 1.2, rng=rng))
 

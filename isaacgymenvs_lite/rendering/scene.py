@@ -73,11 +73,11 @@ class TerrainWindow:
     def _range(
         self, xy: npt.NDArray[np.float64], half_side_m: float
     ) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Return columns and rows as (first, end) within `half_side_m` of `xy`."""
+        """Return the ranges (first, end) of columns and rows within `half_side_m` of `xy`."""
         at = (np.asarray(xy) - self._place[:2] + self._size[:2]) / self._cell
         reach = half_side_m / self._cell
         ends = np.array(self._heights.shape[::-1])
-        # A robot that has left the terrain still needs two cells.
+        # If the robot has left the terrain, the ranges still contain two cells.
         low = np.clip(np.floor(at - reach), 0, ends - 2).astype(int)
         high = np.clip(np.ceil(at + reach) + 1, low + 2, ends).astype(int)
         return (int(low[0]), int(high[0])), (int(low[1]), int(high[1]))

@@ -18,7 +18,7 @@ _MIN_DISTANCE_M = 1.6
 # Least height (m) above the ground, in the default pose, at which a robot is a flying robot.
 _FLIES_M = 0.3
 _ELEVATION_DEG = -12.0
-# Increase of the camera's distance on rough ground, to show steps and slopes around the robot.
+# Elevation and least distance of the camera on rough ground, so that steps and slopes are visible.
 _TERRAIN_ELEVATION_DEG, _TERRAIN_DISTANCE_M = -20.0, 3.0
 # Types of geoms that are floors and do not count in the size of a model.
 _GROUNDS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))

@@ -96,7 +96,7 @@ class AutoresetTask:
         num_steps: number of control steps so far.
 
     Raises:
-        WrapperError: `task` is not a task, for example a wrapped task.
+        WrapperError: `task` is a wrapped task or another object.
         ConfigError: the render mode is unknown.
     """
 
@@ -219,7 +219,7 @@ def checked_task(env: Any, adapter: str) -> VecTask:
     """Return `env` if it is a task without a wrapper.
 
     Raises:
-        WrapperError: `env` is not a task, or a wrapped task.
+        WrapperError: `env` is a wrapped task or another object.
     """
     if isinstance(env, VecTask):
         return env
