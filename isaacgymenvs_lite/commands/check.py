@@ -229,7 +229,7 @@ def _task_of(path: Path, content: DictConfig) -> str:
     """
     names = [f.stem for f in (cfg_dir() / "task").glob("*.yaml") if f.stem not in PARTS]
     named, run = task_in_name(path.stem), _run_name(content)
-    capital = re.match(r"[A-Z]", named)  # True for MyRobot, False for ASE's name amp_humanoid.
+    capital = re.match(r"[A-Z]", named)  # matches MyRobot, but not ASE's name amp_humanoid
     of_its_own = is_foreign(path) and capital and run == named and named not in names
     if not of_its_own and (task := longest_task(path.stem, names)):
         return task

@@ -72,7 +72,7 @@ def tf_apply(q: Tensor, t: Tensor, v: Tensor) -> Tensor:
 
 
 def tf_combine(q1: Tensor, t1: Tensor, q2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
-    """Return rotations (..., 4) and translations (..., 3) of transform 2 before transform 1."""
+    """Return q (..., 4) and t (..., 3) of the transforms that apply 2 first and then 1."""
     return quat_mul(q1, q2), tf_apply(q1, t1, t2)
 
 

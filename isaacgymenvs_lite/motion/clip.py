@@ -236,7 +236,7 @@ class MotionClip:
             values = getattr(self, key)
             if values is None:
                 continue
-            # The root's own offset is not used.
+            # The root's offset is not used.
             values = values[..., 1:, :] if key == "local_translation" else values
             _check_size(self.name, key, float(np.abs(values).max(initial=0.0)), limit, unit)
 
