@@ -1,11 +1,11 @@
-"""Runs a script that imports isaacgymenvs, unchanged.
+"""Runs an unchanged script that imports isaacgymenvs.
 
     isaacgymenvs-lite alias SCRIPT [its arguments]
 
-`isaacgymenvs` and its modules mean this package in this process; nothing is installed under that
-name. `gym` means gymnasium if gym is not installed. Names of `isaacgym` can be imported, and
-`isaacgym.torch_utils` works; any other use of `isaacgym` raises an error with the replacement. A
-script that names a GPU runs on the CPU if the machine has no GPU.
+In this process the imports of `isaacgymenvs` and its modules load this package; no package
+`isaacgymenvs` is installed. `gym` means gymnasium if gym is not installed. Names of `isaacgym` can
+be imported, and `isaacgym.torch_utils` works; any other use of `isaacgym` raises an error that
+names the replacement. A script that names a GPU runs on the CPU if the machine has no GPU.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _NO_SIMULATOR = (
     " call"
 )
 _GYM = "gym"
-# Modules of other packages that our modules replace.
+# Maps modules of other packages to our modules that replace them.
 _OTHERS = {
     f"{_SIMULATOR}.torch_utils": f"{_NEW}.isaacgymenvs_compat.torch_jit_utils",
     _GYM: f"{_NEW}.isaacgymenvs_compat.gym",
@@ -52,17 +52,17 @@ _OTHERS = {
 
 
 class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Finds `isaacgymenvs...` as the module of this package that replaces it."""
+    """Finds the module of this package that replaces a module `isaacgymenvs...`."""
 
     def find_spec(
         self, fullname: str, path: Any = None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
-        """Return a spec for a name that means one of our modules, None for any other name."""
+        """Return a spec if the name means one of our modules, otherwise None."""
         root = fullname.partition(".")[0]
         if root not in (_OLD, _SIMULATOR, _GYM) and fullname not in _OTHERS:
             return None
         if root == "rl_games" and _OTHERS[fullname] in sys.modules:
-            return None  # our module imports the original
+            return None  # Our module imports the module that it replaces.
         if root == _GYM and importlib.machinery.PathFinder.find_spec(_GYM) is not None:
             return None
         return importlib.machinery.ModuleSpec(fullname, self, is_package=True)
@@ -81,7 +81,7 @@ class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         else:
             name = ".".join(part for part in (_NEW, RENAMED.get(rest, rest)) if part)
         module = _import(name, spec.name, absent_because(rest))
-        if spec.name == f"{_OLD}.utils.rlgames_utils":  # scripts register their own names next
+        if spec.name == f"{_OLD}.utils.rlgames_utils":  # Scripts import this, then register names.
             from isaacgymenvs_lite.registration import register_networks
 
             register_networks()
@@ -89,7 +89,7 @@ class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Restore the module's own spec; the module has already been executed."""
+        """Restore the spec of a module that has already been executed."""
         alias = module.__spec__
         if alias is not None and alias.loader_state is not None:
             module.__spec__ = alias.loader_state
@@ -111,7 +111,7 @@ def _import(name: str, alias: str, reason: str | None) -> ModuleType:
 
 
 def install() -> None:
-    """Make the old names importable in this process; a second call does nothing."""
+    """Make IsaacGymEnvs' names importable in this process; a second call does nothing."""
     if not any(isinstance(finder, AliasFinder) for finder in sys.meta_path):
         sys.meta_path.insert(0, AliasFinder())
 
@@ -128,13 +128,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.exit(EXIT_USER_ERROR, f"error: {args.script}: no such file; give a Python script\n")
     install()
     sys.argv = [str(args.script), *args.arguments]
-    # Scripts can import modules from their own folder, as when Python runs them.
+    # Python adds the script's folder to the import path when it runs a script.
     sys.path.insert(0, str(args.script.resolve().parent))
-    # If the script sets up no logging, it shows the log of this package.
+    # If the script does not configure logging, the log of this package is printed.
     logging.getLogger(_NEW).setLevel(logging.INFO)
     logging.lastResort = message_handler()
     register_for(args.script.read_text(encoding="utf-8"))
-    import torch  # takes seconds
+    import torch  # This import takes seconds.
 
     from isaacgymenvs_lite.isaacgymenvs_compat.cuda import CudaIsCpu
 

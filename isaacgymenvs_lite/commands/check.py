@@ -1,13 +1,14 @@
-"""Checks a task file, a train file or the installation, without training.
+"""Checks a task file, a train file or the installation, but does not train.
 
     isaacgymenvs-lite check FILE.yaml [task=<name>] [key=value ...]
-    isaacgymenvs-lite check                    # versions and what works, for an issue
+    isaacgymenvs-lite check                    # prints versions and what works, for an issue
 
-FILE is a path, or the name of a file in cfg/train or cfg/task. A train file is checked with `task=`
-or with the task at the beginning of its name. The command lists the algorithm, the network, the
-samples and epochs, keys without effect, and adapted values. A mistake is one line with exit code 2,
-as in train.py. Files of published tasks that this project lacks, and train files of an unknown
-task, are mistakes, too. If the class of a task file is unknown, `task.env` is not checked.
+FILE is a path, or the name of a file in cfg/train or cfg/task. A train file is checked with the
+task that `task=` names, or with the task whose name begins the file name. The command lists the
+algorithm, the network, the samples and epochs, keys without effect, and adapted values. Like
+train.py, it reports a mistake in one line and returns exit code 2. Files of published tasks that
+this project lacks and train files of unknown tasks are mistakes, too. If the class of a task is
+unknown, `task.env` is not checked.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
 from isaacgymenvs_lite.schema import leaves, plain, select
 
 EXIT_DOES_NOT_WORK = 1
-# Maps tasks to algorithms, for train files whose names lack a task, like ASE's.
+# Maps tasks to algorithms, for train files whose names contain no task, like those of ASE.
 _TASKS_OF_ALGORITHMS = {
     "HumanoidAMP": ("amp", "amp_continuous", "amp_agent"),
     "HumanoidASE": ("ase", "gen_amp", "hrl", "hrl_continuous"),
@@ -47,19 +48,19 @@ _TASKS_OF_ALGORITHMS = {
 _DEFAULT_NAME = re.compile(r"\$\{resolve_default:\s*['\"]?([\w-]+)")
 _NO_EFFECT = "no effect here"
 _GROUPS = {"params": "train", "env": "task", "name": "task", "sim": "task"}
-# Only Isaac Gym's PhysX, its importer or its viewer read these keys of a task.
+# Keys of a task that only Isaac Gym's PhysX, importer or viewer read.
 _UNREAD_TASK_KEYS = (
     *("env.envSpacing", "env.enableDebugVis", "env.enableCameraSensors", "env.renderFPS"),
     *("env.plane.restitution", "sim.num_client_threads", "sim.flex"),
 )
-# The list of keys omits these prefixes, the longest first.
+# Prefixes that the list of keys omits; a longer prefix comes before a shorter prefix.
 _SECTIONS = ("task.env.", "task.", "train.params.config.", "train.params.network.", "train.params.")
 _GPU = "cuda:0"
 _ALGORITHM = re.compile(r"(?:PPO|SAC)\w*$")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Check the file that the command line names, or the installation; return the exit code."""
+    """Check the file in the command line, or the installation; return the exit code."""
     parser = argparse.ArgumentParser(
         prog="isaacgymenvs-lite check",
         description=__doc__,
@@ -82,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
-    """Return a description of a task or train file, line by line.
+    """Return the lines of a description of a task or train file.
 
     Args:
         file: path or name of the file.
@@ -131,7 +132,7 @@ def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
 
 
 def _describe_composed(config: CheckedConfig, kind: str, has_train: bool) -> list[str]:
-    # torch, MuJoCo and rl_games are imported only if the configuration can be composed.
+    # torch, MuJoCo and rl_games are imported here, so that a mistake is reported without them.
     from isaacgymenvs_lite.checkpoints.files import resolve_checkpoint
     from isaacgymenvs_lite.env_factory import make_from_config
     from isaacgymenvs_lite.registration import build_runner, known_names
@@ -221,14 +222,14 @@ def _kind(path: Path) -> tuple[str, DictConfig]:
 
 
 def _task_of(path: Path, content: DictConfig) -> str:
-    """Return the task of a train file, or the path of its task file.
+    """Return the task of a train file, or the path of the task file.
 
-    The file's name and the name of its runs decide: MyRobotPPO.yaml, whose runs are called MyRobot,
-    belongs neither to a task Robot nor to a task My.
+    The name of the train file and the name of its runs determine the task. MyRobotPPO.yaml, whose
+    runs are called MyRobot, belongs neither to a task Robot nor to a task My.
     """
     names = [f.stem for f in (cfg_dir() / "task").glob("*.yaml") if f.stem not in PARTS]
     named, run = task_in_name(path.stem), _run_name(content)
-    capital = re.match(r"[A-Z]", named)  # MyRobot; ASE's files are called amp_humanoid
+    capital = re.match(r"[A-Z]", named)  # matches MyRobot, but not ASE's name amp_humanoid
     of_its_own = is_foreign(path) and capital and run == named and named not in names
     if not of_its_own and (task := longest_task(path.stem, names)):
         return task
@@ -248,8 +249,8 @@ def _task_of(path: Path, content: DictConfig) -> str:
 
 
 def _train_file_of(path: Path, name: str) -> str | None:
-    """Return the name of a task file's train file, None if there is none."""
-    for train in (f"{path.stem}PPO", path.stem, f"{name}PPO"):  # HumanoidSAC has its own file
+    """Return the name of the train file for a task file, or None if no train file exists."""
+    for train in (f"{path.stem}PPO", path.stem, f"{name}PPO"):  # path.stem matches HumanoidSAC.
         if (cfg_dir() / "train" / f"{train}.yaml").is_file():
             return train
     beside = path.parent.parent / "train" / f"{path.stem}PPO.yaml"
@@ -257,7 +258,7 @@ def _train_file_of(path: Path, name: str) -> str | None:
 
 
 def _run_name(content: DictConfig) -> str:
-    """Return the default name of a train file's runs, '' without one."""
+    """Return the default name of a train file's runs, or '' if the file has no such name."""
     text = str(_written(content, "params.config.name") or "")
     found = _DEFAULT_NAME.match(text)
     return found[1] if found else text
@@ -317,7 +318,7 @@ def cpu_defaults_note(cfg: DictConfig) -> str | None:
     """Return a line about settings whose defaults differ between CPU and GPU, or None.
 
     Args:
-        cfg: the tree as it was composed; its `rl_device` decides.
+        cfg: the composed tree; the line exists only if its `rl_device` is a CPU.
     """
     if "cuda" in str(cfg.rl_device):
         return None
@@ -341,7 +342,7 @@ def _short(value: Any) -> str:
 
 
 def longest_task(stem: str, tasks: Iterable[str]) -> str | None:
-    """Return the longest task name with which a file's name begins, in whole words, or None."""
+    """Return the longest task name whose words begin a file's name, or None."""
     fitting = [
         name
         for name in tasks
@@ -351,13 +352,13 @@ def longest_task(stem: str, tasks: Iterable[str]) -> str | None:
 
 
 def task_in_name(stem: str) -> str:
-    """Return a train file's name without its algorithm: MyRobot for MyRobotPPO_LSTM."""
+    """Return a train file's name without the algorithm, MyRobot for MyRobotPPO_LSTM."""
     return _ALGORITHM.sub("", stem).rstrip("_-")
 
 
 @contextmanager
 def _log_lines() -> Iterator[list[str]]:
-    """Collect the log messages of the package instead of showing them."""
+    """Collect the log messages of the package in a list and do not print them."""
     lines: list[str] = []
     logger = logging.getLogger("isaacgymenvs_lite")
     former = (logger.level, logger.propagate)

@@ -1,15 +1,15 @@
 """Plays the shipped policies and records videos: isaacgymenvs-lite demo [key=value ...].
 
-    isaacgymenvs-lite demo                            # asks which; demo/<name>.mp4
+    isaacgymenvs-lite demo                            # asks for policies; demo/<name>.mp4
     isaacgymenvs-lite demo policies=[walk] seconds=10
-    isaacgymenvs-lite demo format=webp seconds=2      # small: a moving picture for a page
-    isaacgymenvs-lite demo format=png seconds=1       # eight poses
+    isaacgymenvs-lite demo format=webp seconds=2      # a small animated picture
+    isaacgymenvs-lite demo format=png seconds=1       # a picture of eight poses
 
 The video of an imitating policy shows the reference clip on the left (above in a .png) and the
-policy on the right. It shows the first of 16 episodes of 10 s, over which the pose error is
-measured; the episodes start at random times of the clip. The video of skills, of a policy with a
-goal or of a classic task shows the first three of 16 episodes, and the goals. Skills start from the
-default pose. Without a terminal the command shows all policies whose clips are installed.
+policy on the right. The pose error is the mean over 16 episodes of 10 s, which start at random
+times of the clip; the video shows the first episode. The video of any other policy shows the first
+three of 16 episodes, and the goals. Policies with skills start from the default pose. Without a
+terminal the command plays all policies whose clips are installed.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ log = logging.getLogger(__name__)
 _EPISODES = 16
 _EPISODE_STEPS = 300
 _SEED = 1
-# Networks of policies that do not follow a clip, and the number of episodes to show.
+# Networks of policies that do not imitate a clip, and the number of episodes in their videos.
 _SKILL_NETWORKS = ("gen_amp", "ase", "hrl")
 _SHOWN_EPISODES = 3
 _POSES_OF_A_STRIP = 8
-# The policies of the README come first.
+# The policies in the README, which come first in lists of policies.
 _BEST_FIRST = (
     *("backflip", "spinkick", "g1_walk", "walk", "heading", "cartwheel", "run", "g1_velocity"),
     *("getup", "locomotion_skills", "anymal", "humanoid", "ant"),
 )
-# A panel's width and height in pixels, and the number of control steps between frames.
+# Width and height of a panel in pixels, and number of control steps from frame to frame.
 _SIZES = {"mp4": (320, 480, 1), "webp": (200, 300, 2)}
 
 
@@ -66,7 +66,7 @@ class DemoSettings:
     """Arguments of the command."""
 
     policies: tuple[str, ...] = setting([])
-    """Names of shipped policies; [] asks in the terminal, or means all."""
+    """Names of shipped policies. If it is [], the terminal's user chooses; else all are played."""
     seconds: float = setting(5.0, above=0, maximum=60)
     """Length of the video in s."""
     format: str = setting("mp4", choices=(*_SIZES, "png"))
@@ -82,11 +82,10 @@ class Performance:
     Attributes:
         model: model of the character.
         dt_s: control step in s.
-        tracks: (T, nq) for each panel: clip and policy with the same phase, or the policy in
-        several
-            environments.
-        labels: labels of the tracks, or empty.
-        markers: markers at each time of each track, for example goals, or empty.
+        tracks: a track (T, nq) for each panel. The panels show the clip and the policy with the
+            same phase, or the policy in several environments.
+        labels: labels of the tracks, or an empty sequence.
+        markers: markers at each time of each track, for example goals, or an empty sequence.
         summary: a sentence about the result over all environments.
     """
 
@@ -99,14 +98,14 @@ class Performance:
 
 
 def run_demo(settings: DemoSettings) -> list[Path]:
-    """Play, measure and record policies; return a file for each policy.
+    """Play, measure and record policies; return the path of a video for each policy.
 
     Raises:
         UserError: a policy is unknown, this machine cannot draw or encode, or the folder cannot be
             written.
     """
     names = _names(settings.policies)
-    ensure_gl()  # fails before the play
+    ensure_gl()  # An error should come before the policies are played.
     folder = Path(settings.out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -124,7 +123,7 @@ def run_demo(settings: DemoSettings) -> list[Path]:
 
 
 def _names(wanted: Sequence[str]) -> list[str]:
-    """Return the policies to show: the wanted or chosen policies, or all that can be played."""
+    """Return the wanted policies, the policies that the user chooses, or all playable policies."""
     shipped = shipped_policy_infos()
     known = [name for name in _BEST_FIRST if name in shipped]
     infos = {name: shipped[name] for name in (*known, *shipped)}
@@ -150,7 +149,7 @@ def _names(wanted: Sequence[str]) -> list[str]:
 
 
 def ask(infos: Mapping[str, PolicyInfo]) -> list[str]:
-    """Show the policies in a terminal and return those that the user names; [] for all."""
+    """List the policies in a terminal and return the user's choice, or [] if it is all."""
     numbers = {str(number): name for number, name in enumerate(infos, start=1)}
     for number, name in numbers.items():
         sys.stdout.write(f"{number:>4}  {name:20}{infos[name]}\n")
@@ -164,9 +163,9 @@ def ask(infos: Mapping[str, PolicyInfo]) -> list[str]:
 
 
 def perform(name: str, seconds: float) -> Performance:
-    """Play a shipped policy with its mean actions, and record it.
+    """Play a shipped policy with its mean actions, and record the motion.
 
-    The recording is shorter than `seconds` if all environments fall earlier.
+    The recording is shorter than `seconds` if the episodes of all environments end earlier.
 
     Raises:
         UserError: the policy cannot be played.
@@ -191,22 +190,22 @@ def perform(name: str, seconds: float) -> Performance:
 
 
 def _tree(name: str, seconds: float) -> tuple[DictConfig, int]:
-    """Return the configuration for playing a policy, and the number of control steps to record."""
+    """Return a configuration that plays a policy, and the number of control steps to record."""
     fixed = (
         "test=True",
         f"checkpoint={name}",
         f"num_envs={_EPISODES}",
         f"seed={_SEED}",
         "rl_device=cpu",
-        "num_threads=1",  # more threads are slower for a few humanoids
+        "num_threads=1",  # With few humanoids several threads are slower than one thread.
     )
     cfg = compose([*playing_overrides(name), *fixed])
     env = cfg.task.env
     num_steps = max(1, round(seconds / (cfg.task.sim.dt * env.controlFrequencyInv)))
-    if "stateInit" in env:  # it has reference motions
+    if "stateInit" in env:  # The task has reference motions.
         env.stateInit = "Default" if _has_skills(cfg) else "Random"
         env.episodeLength = max(_EPISODE_STEPS, num_steps + 1)
-    if "fallInitProb" in env:  # it gets up
+    if "fallInitProb" in env:  # The policy can get up.
         env.fallInitProb, env.recoveryEpisodeProb = 1.0, 0.0
     return cfg, num_steps
 
@@ -216,16 +215,16 @@ def _has_skills(cfg: DictConfig) -> bool:
 
 
 def _summary(result: EvaluationResult, cfg: DictConfig) -> str:
-    if result.imitation is None:  # a classic task
+    if result.imitation is None:  # The task has no reference motion.
         return f"return {result.reward:.1f} in {result.steps:.0f} steps"
     parts = [f"{name} {error:.3f}" for name, error in result.goal_errors.items()]
-    if cfg.train.params.network.name == "hrl":  # skills have no task
+    if cfg.train.params.network.name == "hrl":  # Policies with random skills have no task reward.
         parts.append(f"task reward {result.reward / result.steps:.2f} per step")
     return ", ".join((*parts, result.imitation.falls()))
 
 
 def save_performance(performance: Performance, path: Path) -> Path:
-    """Draw a policy next to its clip, as a video (.mp4, .webp) or a strip of poses (.png).
+    """Write a recording as a video (.mp4, .webp) or as a strip of poses (.png).
 
     Raises:
         UserError: the file cannot be drawn, encoded or written.

@@ -1,7 +1,7 @@
-"""Describes this installation on one screen, to paste into an issue.
+"""Describes this installation in a few lines, which users can paste into an issue.
 
-`isaacgymenvs-lite check` without a file prints this description. Each line says whether something
-works, or how to mend it.
+`isaacgymenvs-lite check` without a file prints this description. Each line says whether a part of
+the installation works, or how to repair it.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from isaacgymenvs_lite.utils.precision import measure_bfloat16_speedup, supports
 from isaacgymenvs_lite.utils.threads import thread_count
 
 DISTRIBUTION = "isaacgymenvs-lite"
-# A run of 5,000 epochs keeps a hundred checkpoints of a few megabytes.
+# Free space for a run of 5,000 epochs, which writes a hundred checkpoints of a few megabytes.
 _LEAST_FREE_GIB = 2.0
 _GIB = 2**30
 _NUM_STEPS = 20
 
 
 def describe_installation() -> tuple[list[str], bool]:
-    """Return the lines, and whether a training can start."""
+    """Return the lines of the description, and whether a training can start."""
     problems = list[str]()
     rows: list[tuple[str, Callable[[], str]]] = [
         ("package", _package),
@@ -67,7 +67,7 @@ def _package() -> str:
 
 def _machine() -> str:
     memory = ""
-    if hasattr(os, "sysconf"):  # not on Windows
+    if hasattr(os, "sysconf"):  # Windows lacks this function.
         gib = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / _GIB
         memory = f", {gib:.0f} GiB"
     return (
@@ -77,7 +77,7 @@ def _machine() -> str:
 
 
 def cpu_name() -> str:
-    """Return the system's name of the processor."""
+    """Return the processor's name in the operating system."""
     info = Path("/proc/cpuinfo")
     if info.is_file():
         for line in info.read_text(encoding="utf-8").splitlines():
@@ -106,7 +106,7 @@ def _needs(problems: list[str]) -> str:
 
 
 def _requirements() -> Iterator[Requirement]:
-    """Yield the requirements of the installed package on this machine, without extras."""
+    """Yield the installed package's requirements on this machine, without those of extras."""
     for text in requires(DISTRIBUTION) or ():
         requirement = Requirement(text)
         if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
@@ -160,7 +160,7 @@ def _disk(problems: list[str]) -> str:
 
 
 def _physics(problems: list[str]) -> str:
-    """Step a small HumanoidAMP, which tests the model, the clips and the simulator."""
+    """Test the model, the clips and the simulator by steps of HumanoidAMP in 64 environments."""
     try:
         with contextlib.closing(
             make_from_config(

@@ -3,8 +3,8 @@
     isaacgymenvs-lite policies list
     isaacgymenvs-lite policies pack checkpoint=FILE name=NAME [clip=CLIP]
 
-`checkpoint` is a file of a run (runs/<run>/nn/*.pth), or `last` for the newest checkpoint. The
-packed policy is written to assets/policies or to out=FOLDER, and can be played by its name:
+`checkpoint` is a file of a run (runs/<run>/nn/*.pth), or `last`, which means the newest checkpoint.
+The packed policy is written to assets/policies or to out=FOLDER. Its name is enough to play it:
 
     python train.py test=True checkpoint=NAME
 """
@@ -32,18 +32,18 @@ class PackSettings:
     name: str = setting()
     """Name of the policy."""
     clip: str = setting("")
-    """The shipped clip that the policy imitates; '' means the clip of the run."""
+    """The shipped clip that the policy imitates; '' selects the clip in the run's settings."""
     out: str = setting("")
-    """Folder of the packed policy; '' means assets/policies."""
+    """Folder that receives the packed policy; '' selects assets/policies."""
     task: str = setting("HumanoidAMP")
-    """Task of the runs, for `last`."""
+    """Task whose newest checkpoint `last` selects."""
     runs: str = setting("runs")
-    """Folder of all runs, for `last`."""
+    """Folder of all runs, in which `last` finds the newest checkpoint."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ListSettings:
-    """`list` has no arguments."""
+    """Arguments of `list`, which has none."""
 
 
 def show(_: ListSettings) -> None:

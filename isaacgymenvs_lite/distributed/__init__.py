@@ -1,7 +1,7 @@
 """Trains one policy in several processes, on CPUs or GPUs, on one machine or many.
 
 torchrun restarts all processes with the same command if a process fails (`--max-restarts`). The run
-folder contains the name of torchrun's job, so that the new processes find and resume the run.
+folder contains the name of torchrun's job, by which the restarted processes find their run.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _MAX_BYTES = 1000
 
 
 def started_by_torchrun() -> bool:
-    """Return whether torchrun started this process together with others."""
+    """Return whether torchrun started this process."""
     return int(os.environ.get("WORLD_SIZE") or 1) > 1
 
 
@@ -29,10 +29,10 @@ def mark_run(run: Path) -> None:
 
 
 def words_after_restart(words: Sequence[str], runs: Iterable[Path]) -> list[str] | None:
-    """Return the command line that resumes the run of this job; None if the job has no run yet.
+    """Return the command line that resumes this job's run, or None if the job has no run yet.
 
     Args:
-        words: the command line that torchrun repeats.
+        words: arguments of the command line that torchrun repeats.
         runs: the run folders to search.
     """
     if os.environ.get("TORCHELASTIC_RESTART_COUNT", "0") == "0" or not _job():
@@ -49,7 +49,7 @@ def words_after_restart(words: Sequence[str], runs: Iterable[Path]) -> list[str]
 
 
 def _job() -> str:
-    """Return the name of torchrun's job; '' if the job has no name."""
+    """Return the name of torchrun's job, which is '' if the job has no name."""
     name = os.environ.get("TORCHELASTIC_RUN_ID", "")
     return "" if name == "none" else name
 

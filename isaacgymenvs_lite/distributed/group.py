@@ -1,10 +1,11 @@
 """Connects the processes that train one policy, and sends messages between them.
 
-torchrun starts the processes; each has a rank from 0 to size - 1. Only this module imports
-torch.distributed (rl_games also uses it, for gradients). Without torchrun the group has one process
-and its messages return at once, so that most code works for one and for several processes.
+torchrun starts the processes and gives each process a rank from 0 to size - 1. In this package only
+this module imports torch.distributed; rl_games uses torch.distributed for gradients. Without
+torchrun the group consists of one process and sends no messages, so that callers need not
+distinguish one process from several.
 
-All processes must call every method that sends a message, in the same order.
+All processes must call the methods that send messages in the same order.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ from isaacgymenvs_lite.errors import ConfigError, PeerError, PeerMistakeError, U
 log = logging.getLogger(__name__)
 
 _VARIABLES = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT")
-# Texts in the errors of torch's two backends about a process that has ended or hangs.
+# Texts by which the errors of torch's two backends report a process that has ended or hangs.
 _LOST = ("connection closed", "connection reset", "broken pipe", "timed out", "gloo", "nccl")
 
 
 @dataclass(frozen=True)
 class ProcessGroup:
-    """The group of a training's processes; `local_rank` and `local_size` count on one machine."""
+    """All processes of a training; `local_rank` and `local_size` count those on one machine."""
 
     rank: int = 0
     size: int = 1
@@ -46,17 +47,17 @@ class ProcessGroup:
 
     @property
     def is_main(self) -> bool:
-        """Whether this process decides, logs and writes for all."""
+        """Whether this process decides, logs and writes files for all processes."""
         return self.rank == 0
 
     def device_of(self, device: str) -> str:
-        """Return the device of this process, given the device in the settings."""
+        """Return the device that this process uses if the settings contain `device`."""
         return f"cuda:{self.local_rank}" if device.startswith("cuda") and self.size > 1 else device
 
     # --- numbers ---------------------------------------------------------------------------
 
     def sum_(self, tensor: Tensor) -> Tensor:
-        """Replace a tensor by its sum over all processes, and return it."""
+        """Replace a tensor by its sum over all processes, and return the tensor."""
         if self.size > 1:
             dist.all_reduce(tensor)
         return tensor
@@ -66,15 +67,15 @@ class ProcessGroup:
         return tensor if self.size == 1 else self.sum_(tensor.detach().clone()) / self.size
 
     def smallest(self, number: int) -> int:
-        """Return the smallest `number` of all processes."""
+        """Return the smallest `number` that a process passes to this method."""
         return min(self.gather(number))
 
     def any(self, flag: bool) -> bool:
-        """Return whether a flag is set in any process."""
+        """Return whether `flag` is True in at least one process."""
         return max(self.gather(int(flag))) > 0
 
     def gather(self, number: int) -> list[int]:
-        """Return `number` of every process in a list, ordered by rank."""
+        """Return a list of the values of `number` in all processes, ordered by rank."""
         if self.size == 1:
             return [number]
         numbers = torch.zeros(self.size, dtype=torch.int64)
@@ -84,7 +85,7 @@ class ProcessGroup:
     # --- values of the main process --------------------------------------------------------
 
     def from_main(self, value: Any) -> Any:
-        """Return the main process' value, which consists of JSON's types."""
+        """Return the main process' `value`, which must consist of JSON's types."""
         if self.size == 1:
             return value
         text = json.dumps(value).encode() if self.is_main else b""
@@ -108,11 +109,11 @@ class ProcessGroup:
     # --- errors ----------------------------------------------------------------------------
 
     def check_equal(self, values: Mapping[str, Any], what: str) -> None:
-        """Check that all processes have the same values, which consist of JSON's types.
+        """Check that all processes pass the same values, which must consist of JSON's types.
 
         Raises:
-            ConfigError: the values differ from the main process' values.
-            PeerMistakeError: the values of another process differ.
+            ConfigError: this process' values differ from the main process' values.
+            PeerMistakeError: another process' values differ from the main process' values.
         """
         expected = self.from_main(values)
         differing = sorted(
@@ -132,7 +133,7 @@ class ProcessGroup:
         """End all processes if one of them has an error.
 
         Raises:
-            UserError: `error`, in the first process that has an error.
+            UserError: this is the first process that has an error; it raises `error`.
             PeerMistakeError: another process has an error.
         """
         failed = [rank for rank, flag in enumerate(self.gather(int(error is not None))) if flag]
@@ -144,7 +145,7 @@ class ProcessGroup:
 
     @contextlib.contextmanager
     def together(self) -> Iterator[None]:
-        """End all processes if one of them raises a `UserError` in this block."""
+        """End all processes if one process raises a `UserError` in this block."""
         try:
             yield
         except UserError as error:
@@ -154,7 +155,7 @@ class ProcessGroup:
 
     @contextlib.contextmanager
     def lost_peers_explained(self) -> Iterator[None]:
-        """Turn torch's error about a lost process into a `PeerError`."""
+        """Raise a `PeerError` in place of torch's error about a lost process."""
         try:
             yield
         except RuntimeError as error:
@@ -174,7 +175,7 @@ _current = ProcessGroup()
 
 
 def current_group() -> ProcessGroup:
-    """Return the group of this process."""
+    """Return the group to which this process belongs."""
     return _current
 
 
@@ -182,9 +183,9 @@ def current_group() -> ProcessGroup:
 def joined_group(
     device: str, timeout_s: float, mistake: UserError | None = None
 ) -> Iterator[ProcessGroup]:
-    """Give the group of torchrun's processes; after the `with` statement each process is alone.
+    """Make torchrun's processes the current group during a `with` statement.
 
-    The processes stay connected until they end, because torch cannot connect them a second time.
+    The processes stay connected until they end, because torch cannot connect processes twice.
 
     Args:
         device: device of the networks; gloo connects CPUs, NCCL connects GPUs.
@@ -228,7 +229,7 @@ def _connect(backend: str, timeout_s: float) -> None:
     """Connect this process with the other processes."""
     timeout = datetime.timedelta(seconds=timeout_s)
     store, rank, size = next(rendezvous("env://", timeout=timeout))
-    # The store may outlive the processes; new processes must not find addresses of old ones.
+    # The store may outlive the processes; restarted processes must not find old addresses in it.
     counts = [os.environ.get(name, "0") for name in ("TORCHELASTIC_RESTART_COUNT", STARTS)]
     start = PrefixStore("start" + ".".join(counts), store)
     dist.init_process_group(backend, timeout=timeout, world_size=size, rank=rank, store=start)
@@ -238,7 +239,7 @@ def _connect(backend: str, timeout_s: float) -> None:
 def first_of_all(error: UserError) -> UserError:
     """Return the error that this process should report before it joins the group.
 
-    Usually all processes have the same mistake; only one process reports it.
+    Usually all processes have the same mistake; only one process reports the mistake.
     """
     if dist.is_initialized():
         return error

@@ -1,7 +1,7 @@
 """Computes means and variances over the rows of all processes with one message.
 
-The sums contain deviations from a point near the mean, in float64, so that no digits are lost if
-the mean is much larger than the spread.
+Deviations from a point near the mean are summed in float64, so that no digits are lost if the mean
+is much larger than the standard deviation.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def joined_moments(kinds: Sequence[tuple[Tensor, Tensor]]) -> list[Moments]:
     """Return the moments of several kinds of rows.
 
     Args:
-        kinds: for each kind a point (...) near the mean, which is equal in all processes, and the
-            rows (n, ...) of this process.
+        kinds: for each kind, a point (...) near the mean and the rows (n, ...) of this process. The
+            point must be the same in all processes.
     """
     sums = []
     for near, rows in kinds:
@@ -47,10 +47,10 @@ def joined_moments(kinds: Sequence[tuple[Tensor, Tensor]]) -> list[Moments]:
 
 
 def normalize_jointly(values: Tensor, mask: Tensor) -> Tensor:
-    """Return values (n,), normalised by the mean and deviation of all processes' rows.
+    """Return values (n,), normalised by the mean and standard deviation over all processes.
 
-    Only rows whose mask (n,) is 1 count. The variance is unbiased. The values are returned
-    unchanged if fewer than two rows count.
+    Only values whose mask (n,) is 1 enter the mean and the unbiased variance. If fewer than two
+    values have the mask 1, all values are returned unchanged.
     """
     wide, weight = values.double(), mask.double()
     sums = torch.stack([weight.sum(), (weight * wide).sum(), (weight * wide.square()).sum()])

@@ -5,11 +5,11 @@
     isaacgymenvs-lite export checkpoint=last task=Ant format=torchscript out=ant.pt
     isaacgymenvs-lite export checkpoint=old.pth task=Ant train=/path/to/AntPPO.yaml
 
-The exported policy takes raw observations and returns actions within the task's limits, because it
-includes the normalisers. `checkpoint` is a .pth file, `last` (the newest checkpoint of all runs or
-of `task=`), or a shipped policy. Settings of task and training come from the run and can be
-overridden as on the command line of train.py. For a robot's task the model is written, too, so that
-play_onnx.py can play the policy without this package.
+The exported policy includes the normalisers. Therefore its inputs are raw observations, and its
+outputs are actions within the task's limits. `checkpoint` is a .pth file, `last` (the newest
+checkpoint of all runs or of `task=`), or a shipped policy. The settings of the task and the
+training come from the run and can be overridden as on the command line of train.py. For a robot's
+task the model is also written, so that play_onnx.py can play the policy without this package.
 """
 
 from __future__ import annotations

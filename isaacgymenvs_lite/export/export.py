@@ -1,4 +1,4 @@
-"""Writes the policy of a checkpoint into a file, and compares file and policy."""
+"""Writes the policy of a checkpoint into a file, and compares this file with the policy."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.files import written_for_user
 
 _NUM_ENVS = 2
-# Settings of the training that an export replaces.
+# Settings that replace settings of the training for the export.
 _PLAIN = {
     "test": True,
     "num_envs": _NUM_ENVS,
@@ -57,15 +57,15 @@ _PLAIN = {
 
 
 def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> DictConfig:
-    """Return the tree for playing a policy on the CPU in a few environments.
+    """Return the tree that plays a policy on the CPU in a few environments.
 
-    A shipped policy contains its settings; the settings of a checkpoint in a run folder are in its
-    config.yaml. With `train=`, or with `task=` of another task, the tree is composed from the
-    files.
+    The file of a shipped policy contains its settings; the settings of a checkpoint in a run folder
+    are in the run's config.yaml. With `train=`, or with `task=` of another task, the tree is
+    composed from the task file and the train file.
 
     Args:
-        checkpoint: a path, the name of a shipped policy, or `last`, which means the newest
-            checkpoint of all runs or of the task and train file among the overrides.
+        checkpoint: a path, the name of a shipped policy, or `last`. `last` selects the newest
+            checkpoint of all runs, or of the task and train file that the overrides name.
         overrides: settings as on the command line of train.py.
         runs: folder of all runs.
     """
@@ -76,7 +76,7 @@ def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> Di
         )
     typed = dict(word.split("=", 1) for word in overrides if "=" in word)
     is_shipped = checkpoint in shipped_policies()
-    # train.py's rules decide the task and the meaning of `last`.
+    # The task and the meaning of `last` follow the rules of train.py.
     composes = "task" in typed or (checkpoint == "last" and "train" in typed)
     composed = compose(overrides) if composes else None
     if composed is None or is_shipped:
@@ -111,7 +111,7 @@ _FIRST_LINE = "<!-- Written by isaacgymenvs_lite.export: what the policy was tra
 class Scene:
     """The robot with its drives and sensors on the floor, as MJCF.
 
-    `assets` are the meshes and textures by name; their folder is named after `path`.
+    `assets` maps file names to meshes and textures; the name of their folder begins like `path`.
     """
 
     path: Path
@@ -119,7 +119,7 @@ class Scene:
     assets: dict[str, bytes]
 
     def write(self) -> None:
-        """Write all files."""
+        """Write the MJCF, the meshes and the textures."""
         for name, content in self.assets.items():
             with written_for_user(self.path.with_suffix("") / name, "out") as partial:
                 partial.write_bytes(content)
@@ -128,13 +128,13 @@ class Scene:
 
 
 def scene_of(task: VecTask, policy: Path) -> Scene | None:
-    """Return the model of a robot's task for `<policy>_scene.xml`, None for other tasks.
+    """Return the model for `<policy>_scene.xml`, or None if the task is not a robot's task.
 
-    The result is also None, with a warning, if MuJoCo cannot write the model, because the policy
-    does not need it.
+    If MuJoCo cannot write the model, a warning is logged and the result is None, because the policy
+    does not need the model.
 
     Raises:
-        ConfigError: a file of this name exists that no export has written.
+        ConfigError: a file of this name exists, but an export has not written this file.
     """
     if not isinstance(task, MjcfTask) or task.robot_description() is None:
         return None
@@ -160,7 +160,7 @@ def scene_of(task: VecTask, policy: Path) -> Scene | None:
 log = logging.getLogger(__name__)
 
 _CHECKED_ROWS = 100
-# Runtimes add float32 values in different orders.
+# Largest difference of the outputs; runtimes add float32 values in different orders.
 _TOLERANCE = 1e-4
 
 
@@ -172,17 +172,18 @@ class ExportSettings:
     """A .pth file of a run, `last`, or the name of a shipped policy."""
     format: str = setting("onnx", choices=tuple(FORMATS))
     out: str = setting("")
-    """Path of the file. '' means the checkpoint's name (or `policy` for `last`) with the suffix of
-    the format, in the working folder."""
+    """Path of the exported file. '' selects the working folder and the name of the checkpoint, or
+    `policy` for `last`, with the suffix of the format."""
     runs: str = setting("runs")
-    """Folder of all runs, for `last`."""
+    """Folder of all runs, in which `last` finds the newest checkpoint."""
 
 
 def export_policy(settings: ExportSettings, overrides: Sequence[str] = ()) -> Path:
-    """Write the policy of a checkpoint into one file and return its path.
+    """Write the policy of a checkpoint into one file and return the file's path.
 
-    The exported policy is run once and compared with the original. The model of a robot's task is
-    written next to it, see `scene_of`. The overrides are settings as on train.py's command line.
+    The exported policy is run once and compared with the original policy. The model of a robot's
+    task is written into the same folder, see `scene_of`. The overrides are settings as on
+    train.py's command line.
     """
     kind = FORMATS[settings.format]
     kind.check_packages(settings.format)
@@ -192,7 +193,7 @@ def export_policy(settings: ExportSettings, overrides: Sequence[str] = ()) -> Pa
     if path.suffix != kind.suffix:
         raise ConfigError(f"out={path}: expected a name that ends in {kind.suffix}")
     with load_player(cfg) as player:
-        with contextlib.redirect_stdout(io.StringIO()):  # rl_games' normalisers print their shapes
+        with contextlib.redirect_stdout(io.StringIO()):  # rl_games' normalisers print shapes.
             graph = make_exportable_policy(player)
         metadata = describe(cfg, player, graph, load_checkpoint(cfg.checkpoint))
         scene = scene_of(player.env, path)
@@ -215,7 +216,7 @@ def export_policy(settings: ExportSettings, overrides: Sequence[str] = ()) -> Pa
 
 
 def greatest_difference(graph: PolicyGraph, exported: ExportedPolicy, num_rows: int) -> float:
-    """Return the largest difference between the outputs of an export and its policy."""
+    """Return the largest difference between the outputs of a policy and of its exported file."""
     with torch.random.fork_rng(devices=[]):
         inputs = {spec.name: spec.sample(num_rows) for spec in graph.inputs}
     with torch.no_grad():

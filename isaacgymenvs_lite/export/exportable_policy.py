@@ -1,7 +1,7 @@
-"""Turns trained policies into plain functions of tensors, which other runtimes can run.
+"""Turns trained policies into functions of tensors (graphs), which other runtimes can run.
 
 A graph computes one deterministic step of a player in float32, including the task's limits of
-observations and the normalisers. It shares its parameters with the player.
+observations and the normalisers. The graph shares its parameters with the player.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from isaacgymenvs_lite.learning.skills.low_level_policy import LowLevelPolicy, l
 
 @dataclass(frozen=True)
 class TensorSpec:
-    """An input or an output of a graph: one tensor of n rows.
+    """An input or an output of a graph, which is a tensor for n samples.
 
-    `shape` does not include n, which is the dimension `batch_axis`.
+    The size n of the dimension `batch_axis` is not in `shape`.
     """
 
     name: str
@@ -36,7 +36,7 @@ class TensorSpec:
     dtype: torch.dtype = torch.float32
 
     def sample(self, n: int) -> Tensor:
-        """Return n random rows: standard normal, or fair booleans."""
+        """Return a tensor of n random samples, standard normal values or fair booleans."""
         size = (*self.shape[: self.batch_axis], n, *self.shape[self.batch_axis :])
         if self.dtype == torch.bool:
             return torch.rand(size) < 0.5
@@ -44,14 +44,16 @@ class TensorSpec:
 
 
 class PolicyGraph(nn.Module):
-    """A function of tensors: `forward` takes the inputs and returns the outputs.
+    """A function of tensors; `forward` maps the inputs to the outputs.
 
     Args:
         player: rl_games' player of the policy.
 
     Attributes:
-        inputs: descriptions of the arguments. The first is `obs` (n, O), raw as from the task.
-        outputs: descriptions of the results. The first is `action` (n, A) for the task's `step`.
+        inputs: descriptions of the arguments. The first argument is `obs` (n, O), the task's raw
+            observations.
+        outputs: descriptions of the results. The first result is `action` (n, A), the argument of
+            the task's `step`.
     """
 
     inputs: tuple[TensorSpec, ...]
@@ -60,7 +62,7 @@ class PolicyGraph(nn.Module):
     def __init__(self, player: Any) -> None:
         super().__init__()
         env = player.env
-        # Exporters cannot read rl_games' normalisers, which are TorchScript.
+        # Exporters cannot read rl_games' normalisers, because these are TorchScript modules.
         replace_normalizers(player.model)
         self._clip_obs = env.clip_obs
         self._clip_actions = env.clip_actions
@@ -75,7 +77,7 @@ class PolicyGraph(nn.Module):
 
 
 class _MeanActor(nn.Module):
-    """Maps raw observations (n, O), and latents (n, Z) of skills, to mean actions (n, A).
+    """Maps raw observations (n, O), and latents (n, Z) of skill policies, to mean actions (n, A).
 
     `clip` clamps actions to +-1 and maps them to the limits `low` and `high` (A,).
     """
@@ -96,7 +98,7 @@ class _MeanActor(nn.Module):
         return self.within_limits(mu)
 
     def step(self, obs: Tensor, states: tuple[Tensor, ...]) -> tuple[Tensor, tuple[Tensor, ...]]:
-        """Return the actions and the next states of a recurrent network."""
+        """Return the actions and the next hidden states of a recurrent network."""
         network, obs = serial_network(self._model.a2c_network), self._model.norm_obs(obs)
         outputs = network.forward({"obs": obs, "is_train": False, "rnn_states": states})
         return self.within_limits(outputs[0]), outputs[-1]
@@ -112,7 +114,7 @@ def _actor_of(player: Any) -> _MeanActor:
 
 
 class FeedForwardGraph(PolicyGraph):
-    """PPO and AMP: obs -> action."""
+    """The graph obs -> action of PPO and AMP."""
 
     def __init__(self, player: Any) -> None:
         super().__init__(player)
@@ -124,7 +126,7 @@ class FeedForwardGraph(PolicyGraph):
 
 
 class SACGraph(PolicyGraph):
-    """SAC: obs -> action, the squashed mean."""
+    """The graph obs -> action of SAC; the action is the squashed mean."""
 
     def __init__(self, player: Any) -> None:
         super().__init__(player)
@@ -139,7 +141,7 @@ class SACGraph(PolicyGraph):
 
 
 class SkillGraph(PolicyGraph):
-    """GenAMP: obs, latent -> action. The latent (n, Z) need not have length 1."""
+    """The graph obs, latent -> action of GenAMP; the latent (n, Z) may have any length."""
 
     def __init__(self, player: Any) -> None:
         super().__init__(player)
@@ -149,17 +151,17 @@ class SkillGraph(PolicyGraph):
 
     def forward(self, obs: Tensor, latent: Tensor) -> Tensor:
         """Return `outputs` of `inputs`."""
-        own = self._clamped_obs(obs)[:, : self._num_policy_obs]  # without the goal
+        own = self._clamped_obs(obs)[:, : self._num_policy_obs]  # removes the goal
         action = self._actor(own, F.normalize(latent, dim=-1))
         return self._clamped_action(action)
 
 
 class HierarchyGraph(PolicyGraph):
-    """HRL, both levels: obs, latent, decide -> action, latent.
+    """The graph obs, latent, decide -> action, latent of both policies of HRL.
 
-    The high level chooses a new latent (n, Z) where `decide` (n,) bool is True and keeps the given
-    latent elsewhere. `decide` must be True in the first step of an episode and in every
-    `llc_steps`-th step after it.
+    The high-level policy chooses a new latent (n, Z) where `decide` (n,) bool is True and keeps the
+    given latent elsewhere. `decide` must be True in the first step of an episode and then in every
+    `llc_steps`-th step.
     """
 
     def __init__(self, player: Any) -> None:
@@ -184,10 +186,10 @@ class HierarchyGraph(PolicyGraph):
 
 
 class RecurrentGraph(PolicyGraph):
-    """PPO with memory: obs, hidden (and cell of an LSTM) -> action, hidden (and cell).
+    """The graph obs, hidden (and cell of an LSTM) -> action, hidden (and cell) of recurrent PPO.
 
-    States (layers, n, units) are zero at the start of an episode. The graph has no memory of a
-    separate critic.
+    The hidden and cell states (layers, n, units) are zero at the start of an episode. The graph
+    does not include a separate critic's states.
     """
 
     def __init__(self, player: Any) -> None:
@@ -211,7 +213,7 @@ class RecurrentGraph(PolicyGraph):
 
 
 def make_exportable_policy(player: Any) -> PolicyGraph:
-    """Return the graph of a player on the CPU that has loaded its checkpoint."""
+    """Return the graph of a player, which must be on the CPU and have loaded its checkpoint."""
     if isinstance(player, HRLPlayer):
         kind: type[PolicyGraph] = HierarchyGraph
     elif isinstance(player, GenAMPPlayerContinuous):

@@ -26,7 +26,7 @@ from isaacgymenvs_lite.utils.optional_packages import require
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
-# Rows of the example inputs, because exporters treat 0 and 1 as constants.
+# Number of rows of the example inputs; exporters would treat 0 and 1 as constants.
 _EXAMPLE_ROWS = 3
 _METADATA_FILE = "metadata.json"
 _VERBOSE_LOGGERS = ("torch.onnx", "onnxscript", "onnx_ir")
@@ -34,19 +34,19 @@ _VERBOSE_LOGGERS = ("torch.onnx", "onnxscript", "onnx_ir")
 
 @dataclass(frozen=True)
 class ExportedPolicy:
-    """A callable exported policy with its metadata, see `metadata.describe`."""
+    """An exported policy, which can be called, and its metadata (see `metadata.describe`)."""
 
     metadata: dict[str, Any]
     run: Callable[[Arrays], dict[str, npt.NDArray[Any]]]
 
     def __call__(self, inputs: Arrays) -> dict[str, npt.NDArray[Any]]:
-        """Return the outputs by name for the inputs by name."""
+        """Return a dictionary from output names to arrays; `inputs` maps input names to arrays."""
         return self.run(inputs)
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format of exported policies: suffix, packages in addition to torch, writer and reader."""
+    """A format's suffix, its packages in addition to torch, its writer and its reader."""
 
     suffix: str
     packages: tuple[str, ...]
@@ -64,7 +64,7 @@ class Format:
 
 
 def load_policy(file: str | Path) -> ExportedPolicy:
-    """Read an exported policy in the format of its suffix."""
+    """Read an exported policy; the file's suffix determines the format."""
     path = Path(file)
     by_suffix = {kind.suffix: (name, kind) for name, kind in FORMATS.items()}
     if path.suffix not in by_suffix:
@@ -111,7 +111,7 @@ def _write_onnx(graph: PolicyGraph, metadata: dict[str, Any]) -> bytes:
             dynamic_shapes=tuple({spec.batch_axis: batch} for spec in graph.inputs),
         )
     assert program is not None
-    # ONNX stores only strings, so values other than texts are stored as JSON.
+    # ONNX metadata must be strings; values of other types are stored as JSON.
     program.model.metadata_props.update(
         {
             key: value if isinstance(value, str) else json.dumps(value)
@@ -149,7 +149,7 @@ def _write_torchscript(graph: PolicyGraph, metadata: dict[str, Any]) -> bytes:
     file = io.BytesIO()
     with _quiet(), torch.no_grad():
         traced = torch.jit.trace(graph, _example(graph), check_trace=False)
-        frozen = torch.jit.freeze(traced)  # drops everything that only a training needs
+        frozen = torch.jit.freeze(traced)  # removes the parts that only a training needs
         torch.jit.save(frozen, file, _extra_files={_METADATA_FILE: json.dumps(metadata)})
     return file.getvalue()
 
@@ -176,4 +176,4 @@ FORMATS = {
     "onnx": Format(".onnx", ("onnx", "onnxscript", "onnxruntime"), _write_onnx, _load_onnx),
     "torchscript": Format(".pt", (), _write_torchscript, _load_torchscript),
 }
-"""Formats by their names for `format=`."""
+"""Maps each value of `format=` to its format."""

@@ -1,4 +1,4 @@
-"""Describes an exported policy, so that the file alone is enough to drive a robot."""
+"""Describes an exported policy so that its file alone is enough to control a robot."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def describe(
 ) -> dict[str, Any]:
     """Return the metadata of an exported policy; all values can be written as JSON.
 
-    `cfg` is the composed tree of the policy, and `state` is the content of its checkpoint.
+    `cfg` is the policy's composed tree, and `state` is the content of the policy's checkpoint.
     """
     task: VecTask = player.env
     option = task.simulation.model.opt
@@ -88,7 +88,7 @@ def _observations(task: VecTask) -> list[dict[str, Any]]:
     starts = itertools.accumulate(groups.values(), initial=0)
     parts = []
     for (group, size), start in zip(groups.items(), starts, strict=False):
-        # A history calls the `dof_vel` of two control steps ago `dof_vel_2`.
+        # In a history, `dof_vel_2` is the `dof_vel` of two control steps ago.
         stem, _, number = group.rpartition("_")
         is_older = number.isdecimal() and stem in groups
         name, age = (stem, int(number)) if is_older else (group, 0)
@@ -98,7 +98,7 @@ def _observations(task: VecTask) -> list[dict[str, Any]]:
 
 
 def _enum_name(value: Any) -> str:
-    """Return mjJNT_HINGE as hinge."""
+    """Return a short name of an enum value, for example `hinge` for mjJNT_HINGE."""
     return value.name.partition("_")[2].lower()
 
 
@@ -106,8 +106,8 @@ def _robot(task: VecTask) -> dict[str, Any]:
     """Return joints, root and key bodies of the robot; missing values are null or empty.
 
     All values are in MuJoCo's coordinates: the root has a position (m), a quaternion wxyz, a linear
-    velocity in world axes (m/s) and an angular velocity in its own axes (rad/s). Hinges have angles
-    (rad), ball joints have quaternions wxyz.
+    velocity in world axes (m/s) and an angular velocity in the root's axes (rad/s). Hinges have
+    angles (rad), ball joints have quaternions wxyz.
     """
     model, described = task.simulation.model, task.robot_description()
     layout = ModelLayout.from_model(model)
@@ -145,10 +145,10 @@ def _action_names(task: VecTask) -> list[str]:
 def drives_of(model: mujoco.MjModel) -> list[dict[str, Any]]:
     """Return name, stiffness, damping (0 for motors) and effort limit (or None) of all actuators.
 
-    The units are Nm/rad, Nm s/rad and Nm for hinges and ball joints, and N/m, N s/m and N for
-    slides. The entry of an actuator on a joint also contains the joint's name, the joint's armature
-    (kg m^2, kg for slides) and the first three values of the gear. For a ball joint these values
-    are the axis of the torque in the body's frame.
+    The units of stiffness, damping and effort limit are Nm/rad, Nm s/rad and Nm for hinges and ball
+    joints, and N/m, N s/m and N for slides. The entry of an actuator on a joint also contains the
+    joint's name, the joint's armature (in kg for slides, otherwise in kg m^2) and the first three
+    values of the gear. For a ball joint the gear is the torque's axis in the body's frame.
     """
     drives = []
     for i in range(model.nu):

@@ -1,1 +1,1 @@
-"""IsaacGymEnvs' helper modules by their names, for scripts that import them (see `alias`)."""
+"""Modules with the names of IsaacGymEnvs' helper modules, for scripts that import these names."""

@@ -10,10 +10,10 @@ from torch.overrides import TorchFunctionMode
 
 
 class CudaIsCpu(TorchFunctionMode):
-    """Makes torch's functions use the CPU if a script names cuda, in a `with` statement.
+    """Makes torch's functions use the CPU, in a `with` statement, if a script names cuda.
 
-    It does not change calls of torch.cuda itself or other threads. Each call of a torch function
-    takes longer by about the time of adding two small tensors.
+    Calls of torch.cuda and calls in other threads do not change. Each call of a torch function
+    becomes slower by about the time in which torch adds two small tensors.
     """
 
     def __torch_function__(
@@ -23,7 +23,7 @@ class CudaIsCpu(TorchFunctionMode):
         args: tuple[Any, ...] = (),
         kwargs: Mapping[str, Any] | None = None,
     ) -> Any:
-        """Call a torch function with the CPU in place of a GPU."""
+        """Call a torch function; its arguments name the CPU in place of a GPU."""
         if func is torch.Tensor.cuda:
             return args[0]
         if func is torch.Tensor.to:
@@ -36,7 +36,7 @@ class CudaIsCpu(TorchFunctionMode):
 
 
 def _device(value: Any) -> Any:
-    """Return the CPU for a GPU, and any other value unchanged."""
+    """Return the CPU if `value` is a GPU, or any other value unchanged."""
     if isinstance(value, (str, torch.device)) and str(value).startswith("cuda"):
         return "cpu"
     return value

@@ -1,6 +1,6 @@
 """The names of IsaacGymEnvs' `utils.dr_utils`.
 
-Two functions work. All other functions would call Isaac Gym, so they are stand-ins.
+Two functions work. All other names can only be imported, because their functions call Isaac Gym.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ def generate_random_samples(
     curr_gym_step_count: int,
     extern_sample: npt.ArrayLike | None = None,
 ) -> npt.NDArray[np.float64]:
-    """Draw random values that are added to properties or multiply them.
+    """Return random values, which the caller adds to properties or by which it multiplies them.
 
     Args:
         attr_randomization_params: `range`, `distribution`, `operation`, and `schedule` with
             `schedule_steps`, as in task files.
         shape: shape of the result.
-        curr_gym_step_count: number of simulator calls so far, on which the schedule depends.
-        extern_sample: values to which only the schedule is applied.
+        curr_gym_step_count: number of simulator calls so far; the schedule depends on this number.
+        extern_sample: values that replace the random values; only the schedule is applied to them.
     """
     settings = read_section(
         AttributeSettings, {**attr_randomization_params, "num_buckets": None}, _WHERE
@@ -60,6 +60,6 @@ def generate_random_samples(
 def get_bucketed_val(
     new_prop_val: npt.ArrayLike, attr_randomization_params: Mapping[str, Any]
 ) -> npt.NDArray[np.float64]:
-    """Return values rounded down to `num_buckets` steps within the range."""
+    """Return values, rounded down to one of `num_buckets` evenly spaced values of the range."""
     settings = read_section(AttributeSettings, attr_randomization_params, _WHERE)
     return bucketed(torch.as_tensor(new_prop_val, dtype=torch.float64), settings).numpy()

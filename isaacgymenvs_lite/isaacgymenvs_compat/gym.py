@@ -1,7 +1,7 @@
 """The names of the package `gym`, for scripts that import gym without having it installed.
 
-They are gymnasium's names, except `gym.wrappers.RecordVideo`, because gymnasium's class needs steps
-that return five values.
+All names except `gym.wrappers.RecordVideo` are gymnasium's. Gymnasium's `RecordVideo` does not
+work, because it needs environments whose `step` returns five values.
 """
 
 from __future__ import annotations

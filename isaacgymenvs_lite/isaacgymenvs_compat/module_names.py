@@ -1,7 +1,7 @@
 """Maps the modules of IsaacGymEnvs to the modules of this package, for `alias`.
 
 Names are relative to the published package: `utils.reformat` means `isaacgymenvs.utils.reformat`.
-Modules that are in no table have the same name here.
+Modules that are in no table have the same name in this package.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ RENAMED: dict[str, str] = {
     "pbt.pbt": "isaacgymenvs_compat.pbt",
     "train": "isaacgymenvs_compat.train",
 }
-"""Modules with other names here."""
+"""Maps modules of IsaacGymEnvs to modules of this package that have another name."""
 
 STAND_INS: dict[str, str] = {
     **dict.fromkeys(
@@ -30,7 +30,7 @@ STAND_INS: dict[str, str] = {
         " pbt=pbt_default pbt.policy_idx=0, 1, ... (docs/pbt.md)",
     )
 }
-"""Packages whose names can only be imported, with the reason for the error of using one."""
+"""Maps packages whose names can be imported but not used to the reason, which errors contain."""
 
 ABSENT: dict[str, str] = {
     **dict.fromkeys(
@@ -52,16 +52,16 @@ ABSENT: dict[str, str] = {
     "tasks.amp.utils_amp.gym_util": "it drives Isaac Gym's viewer; docs/watching.md",
     "tasks.amp.utils_amp.logger": "use Python's logging",
 }
-"""Modules without a counterpart (including their submodules), with a reason or a replacement."""
+"""Maps modules without a counterpart to the reason or a replacement; submodules are included."""
 
 
 def absent_because(module: str) -> str | None:
-    """Return why a module such as `tasks.factory.factory_base` has no counterpart, or None."""
+    """Return why a module has no counterpart, or None if the module has a counterpart."""
     return _below(module, ABSENT)
 
 
 def stand_in_because(module: str) -> str | None:
-    """Return why the names of a module can only be imported; None for any other module."""
+    """Return why names of a module can be imported but not used, or None if they can be used."""
     return _below(module, STAND_INS)
 
 

@@ -1,4 +1,4 @@
-"""The names of IsaacGymEnvs' `pbt.pbt`, for train scripts that make their own Runner."""
+"""The names of IsaacGymEnvs' `pbt.pbt`, for train scripts that make a Runner themselves."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from isaacgymenvs_lite.schema import plain
 
 
 def initial_pbt_check(cfg: DictConfig) -> None:
-    """Apply the initial mutation of a policy to the composed tree, in place."""
+    """Change the settings of a composed tree by the policy's initial mutation, in place."""
     for path, value in first_mutation(plain(cfg), _seed(cfg)).items():
         OmegaConf.update(cfg, path, value)
 
@@ -43,11 +43,11 @@ class PbtAlgoObserver(AlgoObserver):
         observer.after_init(algo)
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
-        """Measure the objective of the environments (n, 1) whose episodes ended."""
+        """Store the objectives of the environments `done_indices` (n, 1), whose episodes ended."""
         self._observer.process_infos(infos, done_indices)
 
     def after_steps(self) -> None:
-        """Compare after each interval, and restart if the policy is replaced."""
+        """Compare the policy after each interval, and restart the script if it is replaced."""
         try:
             self._observer.after_steps()
         except RestartRequest as request:

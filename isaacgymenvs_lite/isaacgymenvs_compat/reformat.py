@@ -14,5 +14,5 @@ def omegaconf_to_dict(d: DictConfig) -> dict[str, Any]:
 
 
 def print_dict(val: Any, nesting: int = -4, start: bool = True) -> None:
-    """Write nested dictionaries on standard output; the last two arguments have no effect."""
+    """Print nested dictionaries to standard output; `nesting` and `start` have no effect."""
     pprint.pprint(val, sort_dicts=False)

@@ -22,14 +22,14 @@ from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
 
 def multi_gpu_get_rank(multi_gpu: bool) -> int:
-    """Return the rank of this process among torchrun's processes; 0 without torchrun."""
+    """Return this process' rank among torchrun's processes, or 0 without torchrun."""
     return int(os.environ.get("LOCAL_RANK", "0")) if multi_gpu else 0
 
 
 def _with_or_without_seed(creator: Callable[..., Any]) -> Callable[..., Any]:
-    """Allow calls as in IsaacGymEnvs' first releases, which had no argument `seed`.
+    """Allow calls without the argument `seed`, which IsaacGymEnvs' first releases lacked.
 
-    Their scripts call `set_seed` first, so torch's current seed is used.
+    Scripts for these releases call `set_seed` first; therefore torch's current seed is used.
     """
 
     @functools.wraps(creator)
@@ -65,8 +65,8 @@ def get_rlgames_env_creator(
         rl_device: see `isaacgymenvs_lite.make`.
         graphics_device_id: see `isaacgymenvs_lite.make`.
         headless: see `isaacgymenvs_lite.make`.
-        multi_gpu: whether each process gets its own seed.
-        post_create_hook: is called after a task was made.
+        multi_gpu: whether each process gets another seed.
+        post_create_hook: function that is called after a task was made.
         virtual_screen_capture: see `isaacgymenvs_lite.make`.
         force_render: see `isaacgymenvs_lite.make`.
     """
@@ -94,9 +94,9 @@ class ObsSpec(TypedDict):
     """Describes an input of an agent.
 
     Attributes:
-        names: names of the task's observations, in their order.
+        names: names of the task's observations in the order of the input.
         concat: whether the input is one tensor (N, sum of D) instead of a dictionary.
-        space_name: rl_games' name of the space: observation_space or state_space.
+        space_name: rl_games' name of the input's space, observation_space or state_space.
     """
 
     names: Sequence[str]
@@ -107,8 +107,8 @@ class ObsSpec(TypedDict):
 class ComplexObsRLGPUEnv(RLGPUEnv):
     """`RLGPUEnv` for networks with several inputs and tasks with several observations.
 
-    `obs_spec` has `obs`, and `states` for an asymmetric critic. The task decides the number of
-    environments.
+    `obs_spec` has the key `obs`, and the key `states` for an asymmetric critic. The task determines
+    the number of environments.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class ComplexObsRLGPUEnv(RLGPUEnv):
     def gen_obs_dict(
         self, obs_dict: Mapping[str, Tensor], obs_names: Sequence[str], concat: bool
     ) -> Tensor | dict[str, Tensor]:
-        """Return the named observations (N, D) of a task as one input."""
+        """Return the observations (N, D) with the given names as one input."""
         chosen = {name: obs_dict[name] for name in obs_names}
         return torch.cat(list(chosen.values()), dim=1) if concat else chosen
 
@@ -161,7 +161,7 @@ class ComplexObsRLGPUEnv(RLGPUEnv):
         return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
     def _space_of(self, name: str) -> gymnasium.spaces.Box:
-        """Return the space (D,) of an observation; a task may have only `obs` and `states`."""
+        """Return the space (D,) of an observation, for example `obs` or `states`."""
         space: Any = self.env.observation_space
         if isinstance(space, gymnasium.spaces.Dict):
             return space[name]  # type: ignore[return-value]

@@ -11,8 +11,8 @@ _HIDDEN_UNITS = (512, 1024)
 class RandomNetworkAdversary(nn.Module):
     """A random network that disturbs actions, after OpenAI et al. 2019 (arXiv:1910.07113, B.3).
 
-    Its outputs are probabilities of bins of each action. All environments share the weights, but
-    each environment has its own mask of dropped units.
+    The outputs are the probabilities of the bins of each action. All environments share the
+    weights, but each environment has another mask of dropped units.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class RandomNetworkAdversary(nn.Module):
         self.refresh_dropout_masks()
 
     def refresh_dropout_masks(self) -> None:
-        """Draw new masks: each environment keeps a random share of the units of each layer."""
+        """Draw new masks; in each environment a mask keeps a random share of a layer's units."""
         shares = torch.rand(2).tolist()
         self.dropout_masks1, self.dropout_masks2 = (
             torch.full((self.num_envs, units), share).bernoulli().to(self.device)

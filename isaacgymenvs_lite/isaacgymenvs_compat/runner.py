@@ -1,4 +1,4 @@
-"""Replaces rl_games' Runner in scripts that were written for another machine and rl_games.
+"""Replaces rl_games' Runner in scripts written for another machine or another rl_games version.
 
 `isaacgymenvs-lite alias` imports this module when a script imports `rl_games.torch_runner`.
 """
@@ -19,19 +19,19 @@ _PACKAGE = __name__.partition(".")[0]
 class Runner(torch_runner.Runner):
     """A Runner with our agents, on a device that exists.
 
-    Names that a script registers itself take precedence. `device` and `device_name` of a train
-    section are set to a device of this machine, so that the CPU may replace a GPU. The loggers of
-    this package are enabled again, because published configurations disable all loggers that exist
-    when Hydra starts.
+    Agents that a script registers take precedence over agents of this package. `device` and
+    `device_name` of a train section are set to a device of this machine, so that the CPU may
+    replace a GPU. The loggers of this package are enabled again, because published configurations
+    disable all loggers that exist when Hydra starts.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        # `registration` imports `rl_games.torch_runner`, which is this module, so it comes late.
+        # `registration` imports this module, so that a global import would be circular.
         from isaacgymenvs_lite.registration import register_algorithms
 
         super().__init__(*args, **kwargs)
         register_algorithms(self)
-        # Scripts for rl_games 1.1 register models and networks in these factories.
+        # Scripts for rl_games 1.1 register models and networks in a runner's factories.
         self.model_builder: Any = ModelBuilder()
         self.model_builder.network_factory = self.model_builder.network_builder.network_factory
         for name, logger in logging.Logger.manager.loggerDict.items():
@@ -39,14 +39,14 @@ class Runner(torch_runner.Runner):
                 logger.disabled = False
 
     def load_config(self, params: dict[str, Any]) -> None:
-        """Load a train section with a device that exists."""
+        """Load a train section after setting its devices to a device that exists."""
         config = params["config"]
         device = check_device(config.get("device", "cuda:0"), "rl_device")
-        # Players and agents read different keys; IsaacGymEnvs' train.py sets only one of them.
+        # Players and agents read different keys; IsaacGymEnvs' train.py sets only one key.
         config["device"], config["device_name"] = device, device
         super().load_config(params)
 
 
 def __getattr__(name: str) -> Any:
-    """Return any other name from rl_games' module."""
+    """Return an object of rl_games' module that this module does not define."""
     return getattr(torch_runner, name)

@@ -1,8 +1,8 @@
-"""Modules whose names can be imported; using a name raises an error with the replacement.
+"""Modules whose names can be imported; using such a name raises an error that names a replacement.
 
 Scripts import names that they do not always use, for example names of the simulator in signatures
-of functions. The import succeeds; calling the name, or reading an attribute of it, raises an
-`UnavailableError`.
+of functions. The import of such a name succeeds; calling the name, or reading an attribute of the
+name, raises an `UnavailableError`.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from isaacgymenvs_lite.errors import UnavailableError
 
 
 class StandInModule(ModuleType):
-    """A module that has every name; see the module docstring.
+    """A module from which every name can be imported; see the module docstring.
 
     Errors contain `reason`, which says what to use instead.
     """
 
-    # A module with a path is a package, so that submodules can be imported in the same way.
+    # Python treats a module with a path as a package, whose submodules can be imported.
     __path__: ClassVar[list[str]] = []
 
     def __init__(self, name: str, reason: str) -> None:
@@ -33,7 +33,7 @@ class StandInModule(ModuleType):
 
 
 class _StandIn(type):
-    """The metaclass of stand-ins, which are classes so that scripts can inherit from them."""
+    """Metaclass of the imported names, which are classes so that scripts can inherit from them."""
 
     _path: str
     _reason: str

@@ -1,7 +1,7 @@
 """The names of IsaacGymEnvs' `utils.torch_jit_utils`, and of `isaacgym.torch_utils`.
 
 Quaternions are xyzw, except in `quaternion_to_matrix` and `matrix_to_quaternion`, whose real part
-comes first. The functions for rotations come from `utils.rotations`; nothing is compiled.
+comes first. The functions for rotations come from `utils.rotations`; no function is compiled.
 """
 
 # ruff: noqa: F401  imported names that this module does not use are part of the interface
@@ -56,30 +56,30 @@ tf_vector = quat_apply
 
 
 def unscale_np(x: _Array, lower: _Array, upper: _Array) -> _Array:
-    """Map numpy values (..., D) from [lower, upper], both (D,), to [-1, 1]."""
+    """Map numpy values (..., D) from [lower (D,), upper (D,)] to [-1, 1]."""
     return (2.0 * x - upper - lower) / (upper - lower)
 
 
 def tf_inverse(q: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-    """Return inverses of transforms, which rotate by q (..., 4) and then move by t (..., 3)."""
+    """Return the inverses of transforms that rotate by q (..., 4), then translate by t (..., 3)."""
     q_inv = quat_conjugate(q)
     return q_inv, -quat_apply(q_inv, t)
 
 
 def tf_apply(q: Tensor, t: Tensor, v: Tensor) -> Tensor:
-    """Return points v (..., 3), rotated by q (..., 4) and moved by t (..., 3)."""
+    """Return points v (..., 3), rotated by q (..., 4) and then translated by t (..., 3)."""
     return quat_apply(q, v) + t
 
 
 def tf_combine(q1: Tensor, t1: Tensor, q2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
-    """Return rotations (..., 4) and translations (..., 3): first transform 2, then transform 1."""
+    """Return q (..., 4) and t (..., 3) of the transforms that apply 2 first and then 1."""
     return quat_mul(q1, q2), tf_apply(q1, t1, t2)
 
 
 def local_to_world_space(pos_offset_local: Tensor, pose_global: Tensor) -> Tensor:
-    """Return points (n, 3) m in the frames of poses (n, 7) in the world frame.
+    """Map points (n, 3) m from the frames of poses (n, 7) to the world frame.
 
-    A pose has a position and a rotation xyzw.
+    A pose consists of a position and a rotation xyzw.
     """
     return tf_apply(pose_global[:, 3:7], pose_global[:, :3], pos_offset_local)
 
@@ -105,14 +105,14 @@ def to_torch(
     device: str | torch.device = "cpu",
     requires_grad: bool = False,
 ) -> Tensor:
-    """Return numbers as a tensor. IsaacGymEnvs' default device is cuda:0."""
+    """Return numbers as a tensor; unlike here, IsaacGymEnvs' default device is cuda:0."""
     return torch.tensor(x, dtype=dtype, device=device, requires_grad=requires_grad)
 
 
 def get_axis_params(
     value: float, axis_idx: int, x_value: float = 0.0, dtype: type = float, n_dims: int = 3
 ) -> list[float]:
-    """Return a list of zeros with `value` at the axis, and `x_value` first unless the axis is 0."""
+    """Return zeros with `value` at `axis_idx`, and `x_value` at index 0 unless `axis_idx` is 0."""
     params = [0.0] * n_dims
     params[0] = x_value
     params[axis_idx] = value
@@ -122,18 +122,18 @@ def get_axis_params(
 def torch_rand_float(
     lower: float, upper: float, shape: tuple[int, int], device: str | torch.device
 ) -> Tensor:
-    """Return uniform random numbers of a shape in [lower, upper)."""
+    """Return a tensor of uniform random values in [lower, upper)."""
     return (upper - lower) * torch.rand(*shape, device=device) + lower
 
 
 def torch_random_dir_2(shape: tuple[int, int], device: str | torch.device) -> Tensor:
-    """Return random unit vectors (n, 2) for a shape (n, 1)."""
+    """Return random unit vectors (n, 2); `shape` must be (n, 1)."""
     angle = torch_rand_float(-torch.pi, torch.pi, shape, device).squeeze(-1)
     return torch.stack((torch.cos(angle), torch.sin(angle)), dim=-1)
 
 
 def tensor_clamp(t: Tensor, min_t: Tensor, max_t: Tensor) -> Tensor:
-    """Return t, clamped to tensors of limits."""
+    """Return t, clamped between the tensors `min_t` and `max_t`."""
     return t.clamp(min_t, max_t)
 
 
@@ -141,12 +141,12 @@ saturate = tensor_clamp
 
 
 def copysign(a: float, b: Tensor) -> Tensor:
-    """Return |a| with the signs of b (n,), 0 for zero."""
+    """Return |a| with the signs of b (n,); the result is 0 where b is 0."""
     return abs(a) * torch.sign(b)
 
 
 def quat_axis(q: Tensor, axis: int = 0) -> Tensor:
-    """Return a world axis after rotations (n, 4), as (n, 3)."""
+    """Return the unit vectors (n, 3) that rotations (n, 4) make of a coordinate axis."""
     basis = torch.zeros(len(q), 3, device=q.device, dtype=q.dtype)
     basis[:, axis] = 1.0
     return quat_rotate(q, basis)
@@ -183,14 +183,15 @@ def compute_heading_and_up(
 def compute_rot(
     torso_quat: Tensor, velocity: Tensor, ang_velocity: Tensor, targets: Tensor, positions: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Return velocities of n torsos in their frames, their Euler angles, and angles to targets.
+    """Return velocities in the frames of n torsos, the torsos' Euler angles, and target angles.
 
     All arguments are in the world frame: rotations (n, 4), velocities (n, 3) in m/s and rad/s, and
     positions (n, 3) in m.
 
     Returns:
-        both velocities (n, 3) in the torsos' frames, roll, pitch, yaw (n,) in [0, 2 pi), and the
-        angles to the targets (n,), computed from the third coordinate as in IsaacGymEnvs.
+        linear and angular velocities (n, 3) in the torsos' frames, roll, pitch, yaw (n,) in
+        [0, 2 pi), and the angles to the targets (n,), which use the third coordinate as
+        IsaacGymEnvs does.
     """
     roll, pitch, yaw = get_euler_xyz(torso_quat)
     away = targets - positions

@@ -11,7 +11,7 @@ from isaacgymenvs_lite.train import main
 
 
 def launch_rlg_hydra(cfg: DictConfig | None = None) -> None:
-    """Train or play with the settings in `sys.argv` or in a composed tree."""
+    """Train or play a policy with the settings in `sys.argv` or in a composed tree."""
     if cfg is None:
         main()
         return
@@ -21,7 +21,7 @@ def launch_rlg_hydra(cfg: DictConfig | None = None) -> None:
 
 
 def preprocess_train_config(cfg: DictConfig, config_dict: dict[str, Any]) -> dict[str, Any]:
-    """Set device and run name in a train section, scale the units of its MLP, and return it."""
+    """Set a train section's device and run name, scale its MLP's units, and return the section."""
     pbt = cfg.pbt
     config_dict["params"]["config"] |= {
         "device": cfg.rl_device,

@@ -28,7 +28,7 @@ def set_np_formatting() -> None:
 
 
 def set_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) -> int:
-    """Seed Python, numpy and torch with seed + rank; return this seed. A seed of -1 is drawn."""
+    """Seed Python, numpy and torch with seed + rank, and return the sum; -1 draws a seed."""
     resolved = resolve_seed(seed, torch_deterministic, rank)
     seed_everything(resolved, torch_deterministic)
     return resolved
@@ -57,7 +57,7 @@ def retry(times: int, exceptions: type[Exception] | tuple[type[Exception], ...])
 
 
 def flatten_dict(d: Mapping[str, Any], prefix: str = "", separator: str = ".") -> dict[str, Any]:
-    """Return nested dictionaries as one dictionary of paths: {"a": {"b": 1}} as {"a.b": 1}."""
+    """Return one dictionary with a path for each value, {"a.b": 1} for {"a": {"b": 1}}."""
     flat: dict[str, Any] = {}
     for key, value in d.items():
         path = f"{prefix}{key}"
@@ -80,7 +80,7 @@ def nested_dict_get_attr(d: Mapping[str, Any], key: str) -> Any:
 
 
 def ensure_dir_exists(path: str) -> str:
-    """Make a folder and its parents unless it exists; return its path."""
+    """Make a folder and its parents unless the folder exists; return the folder's path."""
     Path(path).mkdir(parents=True, exist_ok=True)
     return path
 
@@ -89,7 +89,7 @@ safe_ensure_dir_exists = ensure_dir_exists
 
 
 def get_username() -> str:
-    """Return the user's name, or the numeric ID if the system has no name."""
+    """Return the user's name, or the numeric user ID if the system knows no name."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):
@@ -97,7 +97,7 @@ def get_username() -> str:
 
 
 def project_tmp_dir() -> str:
-    """Make and return the folder `ige_<user>` among the system's temporary files."""
+    """Make the folder `ige_<user>` in the system's temporary folder, and return its path."""
     folder = Path(tempfile.gettempdir()) / f"ige_{get_username()}"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     status = folder.lstat()

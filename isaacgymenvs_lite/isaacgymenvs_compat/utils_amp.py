@@ -1,1 +1,1 @@
-"""Replaces IsaacGymEnvs' package `tasks.amp.utils_amp`, whose modules have other names here."""
+"""Replaces IsaacGymEnvs' package `tasks.amp.utils_amp`; `module_names` maps its modules."""

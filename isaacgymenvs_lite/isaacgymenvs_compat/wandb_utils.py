@@ -16,7 +16,7 @@ from isaacgymenvs_lite.utils.optional_packages import require
 class WandbAlgoObserver(WandbObserver):
     """Opens a run of Weights & Biases with the agent's experiment name.
 
-    The composed tree has the keys wandb_project, _entity, _group, _name, ...
+    The composed tree must have the keys wandb_project, wandb_entity, wandb_group, wandb_name, ...
     """
 
     def __init__(self, cfg: DictConfig | Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Motion clips with a constant frame rate. `MotionClip` holds body poses, `JointClip` joints.
+"""Motion clips with a constant frame rate: `MotionClip` (body poses), `JointClip` (joint angles).
 
 A robot's clip file is read into a `JointClip`. The robot's kinematics converts this `JointClip`
 into a `MotionClip`.
@@ -33,7 +33,7 @@ MAX_JOINT_RAD = 1_000.0  # 160 rotations of a wheel's hinge
 _UNIT_TOLERANCE = 1e-3  # largest error of a stored quaternion's length
 # A clip with fewer repeated pairs of frames counts as a character at rest.
 _MIN_REPEATED_PAIRS = 2
-# Maps the name of an array to its largest absolute value and its unit.
+# Maps the name of an array to the largest allowed absolute value and the unit.
 _LIMITS = {
     "root_translation": (MAX_PLACE_M, "m"),
     "local_translation": (_MAX_BONE_M, "m"),
@@ -43,7 +43,7 @@ _LIMITS = {
 }
 QuatOrder = Literal["xyzw", "wxyz"]
 QUAT_ORDERS: tuple[QuatOrder, ...] = ("xyzw", "wxyz")
-# `oddities` reports larger values. The fastest joints of the robot G1 reach 37 rad/s.
+# Values above which `oddities` reports a clip. The fastest joints of the robot G1 reach 37 rad/s.
 _ODD_JOINT_SPEED_RAD_S, _ODD_ROOT_SPEED_M_S = 60.0, 15.0
 _ODD_JOINT_RAD, _ODD_HEIGHT_M = 10.0, 20.0
 # Angles that exceed a joint's limits by this much are not in radians.
@@ -62,11 +62,11 @@ class MotionClip:
     Attributes:
         name: the path of the clip, or `deepmimic:<name>`.
         fps: frames per second.
-        body_names: J names, root first.
+        body_names: J names; the first name is the root's.
         parent_indices: J body ids, -1 for the root; parents come before children.
         local_translation: (J, 3) m, origins of the bodies in their parents' frames; the root's row
-            is not used. The shape is (T, J, 3) if a joint is away from its body's origin and
-            therefore moves the origin.
+            is not used. The shape is (T, J, 3) if a joint that is not at a body's origin moves the
+            origin.
         local_rotation: (T, J, 4), rotations of the bodies relative to their parents, and of the
             root relative to the world.
         root_translation: (T, 3) m, world position of the root.
@@ -115,9 +115,9 @@ class MotionClip:
         root_translation: FloatArray,
         dof_pos: FloatArray | None = None,
     ) -> MotionClip:
-        """Make a clip from poses, whose smoothed differences are the velocities, as in poselib.
+        """Make a clip from poses; the velocities are smoothed differences, as in poselib.
 
-        The arguments are attributes of the class. `validate` describes the errors.
+        The class docstring describes the arguments, and `validate` describes the errors.
         """
         still = np.zeros((*np.shape(local_rotation)[:2], 3))
         clip = cls(
@@ -143,7 +143,7 @@ class MotionClip:
         return clip
 
     def timed_arrays(self) -> dict[str, FloatArray]:
-        """Return the arrays that have one row per frame, as a mapping of attribute names."""
+        """Return a dictionary from attribute names to the arrays that have one row per frame."""
         keys = ["local_rotation", "root_translation", "linear_velocity_w", "angular_velocity_w"]
         keys += ["local_translation"] if np.ndim(self.local_translation) == 3 else []
         keys += ["dof_pos"] if self.dof_pos is not None else []
@@ -190,14 +190,14 @@ class MotionClip:
             )
 
     def find_repeated_frames(self) -> int | None:
-        """Return the first frame (0 or 1) that equals the next one if every pose is stored twice.
+        """Return the first frame (0 or 1) that equals the next frame if each pose is stored twice.
 
         If poses are not stored twice, return None.
         """
         same = (self.local_rotation[1:] == self.local_rotation[:-1]).all(axis=(1, 2))
         same &= (self.root_translation[1:] == self.root_translation[:-1]).all(axis=1)
         if same.all():
-            return None  # the character does not move
+            return None  # The character does not move.
         for first in (0, 1):
             pairs = same[first::2]
             if len(pairs) >= _MIN_REPEATED_PAIRS and pairs.all():
@@ -236,13 +236,13 @@ class MotionClip:
             values = getattr(self, key)
             if values is None:
                 continue
-            # The root's own offset is not used.
+            # The root's offset is not used.
             values = values[..., 1:, :] if key == "local_translation" else values
             _check_size(self.name, key, float(np.abs(values).max(initial=0.0)), limit, unit)
 
 
 def _check_shapes(clip: MotionClip | JointClip, shapes: dict[str, Any], what: str) -> None:
-    """Raise a MotionFileError if an array has another shape than expected."""
+    """Raise a MotionFileError if an array does not have the expected shape."""
     for key, shape in shapes.items():
         found = np.shape(getattr(clip, key))
         if found != shape:
@@ -400,9 +400,9 @@ class JointClip:
 
         Joints are matched by their names without the endings `_joint` and `_dof`. If the file has
         no names or `by_order` is True, joints are matched by their order. Hand joints that only the
-        file has are dropped, and hand joints that only the robot has stay at 0 rad. Missing
-        `followers`, whose angles other joints determine, are NaN. Raises MotionFileError for other
-        missing or extra joints.
+        file has are dropped, and hand joints that only the robot has stay at 0 rad. The angles of
+        missing `followers`, which other joints determine, are NaN. Raises MotionFileError for any
+        other missing or extra joint.
         """
         names = tuple(joint_names)
         if self.joint_names is None or by_order:
@@ -456,7 +456,7 @@ class JointClip:
 
 
 def _upright_share(root_rot: FloatArray, up_b: Sequence[float]) -> float:
-    """Return the share of rotations (T, 4) that leave `up_b` (3,) within 60 degrees of z."""
+    """Return the share of rotations (T, 4) after which `up_b` (3,) is within 60 degrees of z."""
     turns = torch.from_numpy(np.ascontiguousarray(root_rot, dtype=np.float64))
     up = torch.tensor(up_b, dtype=torch.float64).expand(len(turns), 3)
     up_w = rotations.quat_apply(turns, up)
@@ -464,7 +464,7 @@ def _upright_share(root_rot: FloatArray, up_b: Sequence[float]) -> float:
 
 
 def _comparable(names: Sequence[str], others: Sequence[str]) -> list[str]:
-    """Return the names without endings, or unchanged names if two would become equal."""
+    """Remove the endings of the names; return unchanged names if two names would become equal."""
     short = [_SUFFIX.sub("", name) for name in names]
     other_short = {_SUFFIX.sub("", name) for name in others}
     unique = len(set(short)) == len(names) and len(other_short) == len(others)

@@ -6,14 +6,14 @@
     isaacgymenvs-lite convert walk g1_walk.npz robot=mjcf/g1.xml
 
 IN is a .bvh file, or a clip that task.env.motion_file accepts (no data set). FILE.pkl:NAME selects
-a motion of a file. The suffix of OUT determines its format: .npz (this project's), .npy (poselib),
-.txt or .json (DeepMimic), .csv (joint angles). A robot's clip needs .npz or .csv. Keys:
+a motion in a file. The suffix of OUT determines the format: .npz (this project's format), .npy
+(poselib), .txt or .json (DeepMimic), .csv (joint angles). A robot's clip needs .npz or .csv. Keys:
 
     fps=30              frames per second of OUT (default: the rate of IN)
     start_s=0 end_s=5   the part of IN to keep, in seconds
     mapping=cmu         for .bvh: cmu, lafan1, or a YAML file, see docs/motion_formats.md (default:
                         joints are matched by name)
-    num_dofs=31         the humanoid's: 28, or 31 with sword and shield (default: IN's, else 28)
+    num_dofs=31         28 for the humanoid, 31 with sword and shield (default: as in IN, or 28)
     ground=True         raises or lowers the clip until its lowest points are on the ground
     overwrite=True      replaces an existing OUT
 
@@ -76,7 +76,7 @@ def joints_of_clip(clip: MotionClip, skeleton: Skeleton) -> JointClip:
     return JointClip(clip.name, clip.fps, clip.root_translation, root_rot, dofs, skeleton.dof_names)
 
 
-# Maps a suffix to the function that writes a clip and to the data that the format lacks.
+# Maps a suffix to the function that writes this format and to the data that the format cannot hold.
 _Formats = dict[str, tuple[Callable[[Path, MotionClip, Skeleton], object], str]]
 _VELOCITIES = "velocities (they are computed again from the poses)"
 _POSES_ONLY = f"{_VELOCITIES} and limb lengths"
@@ -125,7 +125,7 @@ class ConvertSettings:
 
 
 def convert(source: str, out: str, settings: ConvertSettings) -> Path:
-    """Convert one clip, and return the path of the output. An error leaves no partial output."""
+    """Convert one clip and return the path of the output; an error leaves no partial file."""
     path = Path(out)
     formats = _ROBOT_FORMATS if settings.robot else _FORMATS
     check_output(path, formats, settings.overwrite)

@@ -20,7 +20,7 @@ _TIME_ROUNDING_S = 1e-6
 
 
 def cut(clip: MotionClip, start_s: float = 0.0, end_s: float | None = None) -> MotionClip:
-    """Return the frames between the times `start_s` and `end_s`, both rounded to a frame.
+    """Return the frames between `start_s` and `end_s`, after rounding both times to frames.
 
     Raises MotionFileError if the times are not in the clip or if fewer than two frames remain.
     """

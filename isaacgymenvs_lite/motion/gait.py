@@ -3,8 +3,9 @@
     isaacgymenvs-lite gait assets/mjcf/quadruped.xml trot.npz speed=1
     isaacgymenvs-lite gait a1.urdf walk.npz gait=walk speed=0.4 frequency=1.2
 
-ROBOT is an MJCF or URDF of a quadruped that looks along x. OUT is a clip of its joint coordinates
-(.npz) for task=RobotAMP. The trunk moves at constant speed, and feet in stance do not move. Keys:
+ROBOT is an MJCF or URDF of a quadruped that looks along x. OUT is a clip of the robot's joint
+coordinates (.npz) for task=RobotAMP. The trunk moves at constant speed, and feet in stance do not
+move. Keys:
 
     gait=trot           trot (diagonal pairs), walk (one foot after the other), pace (left, right)
     speed=1             m/s; a negative speed goes backwards
@@ -55,8 +56,8 @@ from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.utils import rotations
 
 NUM_LEGS = 4
-_LEAST_HINGES = 3  # a foot needs three hinges to reach every nearby point
-_MOST_HINGES = 6  # the search for the first pose tries three angles per hinge
+_LEAST_HINGES = 3  # A foot needs three hinges to reach all nearby points.
+_MOST_HINGES = 6  # The search for the first pose tries three angles per hinge.
 KNEES = ("behind", "ahead", "inward")
 TOLERANCE_M = 1e-6
 """Largest allowed distance (m) of a foot from its target."""
@@ -66,9 +67,10 @@ _LONGEST_STEP_RAD = 0.3
 _PULL = 0.1  # redundant hinges return by this share towards the first pose in a solver step
 # The search for the first pose tries these angles of each joint relative to the start pose.
 _FIRST_BENDS_RAD = (-1.0, 0.0, 1.0)
-# Distances of solutions from the start pose are rounded to this step. Knees decide between equals.
+# Distances of solutions from the start pose are rounded to this step. If the rounded distances of
+# several solutions are equal, the direction of the knees decides.
 _ALIKE_RAD = 0.2
-_LOWEST_M = 1e-4  # height tolerance among a foot's lowest points
+_LOWEST_M = 1e-4  # points of a foot within this height of the lowest point also count as lowest
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +95,7 @@ def find_legs(robot: PreparedRobot) -> tuple[Leg, ...]:
 
     A leg is a chain of at least three hinges from the trunk to a foot. Feet are the bodies that
     touch the floor in the start pose, or the key bodies if not four legs touch the floor. Raises
-    ConfigError unless the robot has two legs on each side and looks along x.
+    ConfigError if the robot does not have two legs on each side, or does not look along x.
     """
     by_contact = _feet(robot.model, robot.contact_bodies)
     feet = by_contact
@@ -149,7 +151,7 @@ def _leg(robot: PreparedRobot, foot: int) -> Leg:
     centre = data.xpos[foot] + centres[lowest].mean(axis=0)
     places = data.xanchor[joints] - data.xpos[1]
     swings = np.abs(data.xaxis[joints, 1]) > LATERAL
-    first = int(swings.argmax())  # 0, the hip, if no joint swings fore and aft
+    first = int(swings.argmax())  # If no joint swings fore and aft, the index is 0, the hip's.
     end = centre - data.xpos[1]
     return Leg(
         foot=name,
@@ -164,7 +166,7 @@ def _leg(robot: PreparedRobot, foot: int) -> Leg:
 
 
 class LegSolver:
-    """Inverse kinematics of a robot's legs within their joint limits.
+    """Inverse kinematics of a robot's legs within the joint limits.
 
     `knees`, one of `KNEES`, chooses where the knees point if legs can bend to both sides.
     """
@@ -206,7 +208,7 @@ class LegSolver:
     def next_pose(
         self, last: FloatArray, root: FloatArray, places: FloatArray
     ) -> npt.NDArray[np.float64]:
-        """Find the pose (nq,) with the soles at `places`. The search starts at the last pose."""
+        """Find the pose (nq,) with the soles at `places`; the search starts from the last pose."""
         pose = np.array(last, dtype=np.float64)
         pose[:7] = root
         for leg, place in zip(self._legs, places, strict=True):
@@ -224,7 +226,7 @@ class LegSolver:
         pose[:] = self._followers.placed(pose)
         self._data.qpos[:] = pose
         mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)  # Jacobians need it
+        mujoco.mj_comPos(self._model, self._data)  # Jacobians need the results of this function.
 
     def _sole(self, leg: Leg) -> npt.NDArray[np.float64]:
         return self._data.xpos[leg.body] + self._data.xmat[leg.body].reshape(3, 3).dot(leg.sole)
@@ -232,7 +234,7 @@ class LegSolver:
     def _reach(self, pose: npt.NDArray[np.float64], leg: Leg, place: FloatArray) -> float:
         """Move a leg's sole to a place by changing `pose`, and return the remaining error in m.
 
-        Redundant hinges stay near their angles in the first pose, which makes all strides equal.
+        Redundant hinges stay near their angles in the first pose, so that all strides are equal.
         """
         joints = list(leg.joints)
         columns, dofs = self._model.jnt_qposadr[joints], self._model.jnt_dofadr[joints]
@@ -324,7 +326,7 @@ def make_gait(robot: PreparedRobot, settings: GaitSettings, name: str = "gait") 
     places = _foot_places(legs, settings, phases, period_s)
     standing = [(leg.hip[0], leg.neutral_y, leg.radius) for leg in legs]
     poses = [solver.first_pose(root[0], np.array(standing))]
-    # An additional first stride leads from standing into the gait, and is not part of the clip.
+    # A first stride, which the clip does not contain, leads from standing into the gait.
     lead_in = math.ceil(per_stride)
     for frame in (*range(lead_in), *range(len(phases))):
         poses.append(solver.next_pose(poses[-1], root[frame], places[frame]))
@@ -344,12 +346,12 @@ def _trunk(
     phases: FloatArray,
     period_s: float,
 ) -> npt.NDArray[np.float64]:
-    """Return the trunk's positions (m) and quaternions wxyz, (T, 7), highest at touch-downs."""
+    """Return the trunk's poses (T, 7), m and wxyz, with the largest heights at touch-downs."""
     height = settings.body_height
     if height is None:
         heights = [_NEUTRAL_SHARE * leg.length + leg.radius - leg.hip[2] for leg in legs]
         height = float(np.mean(heights))
-    # Number of touch-downs in a stride, where simultaneous touch-downs count once.
+    # Number of touch-downs in a stride; simultaneous touch-downs count as one.
     beats = len(set(_PATTERNS[settings.gait][0]))
     root = np.zeros((len(phases), 7))
     root[:, 0] = settings.speed * period_s * phases
@@ -391,7 +393,7 @@ def write_gait(source: str, out: str, settings: GaitSettings) -> Path:
         contact_bodies=settings.feet,
         key_bodies=settings.feet,
         start_rotation=settings.start_rotation,
-        start_pose={},  # keeps the file's pose, because `knees` decides how the legs bend
+        start_pose={},  # keeps the pose in the file, because `knees` determines how the legs bend
     )
     robot = load_robot(source, of_robot)
     try:

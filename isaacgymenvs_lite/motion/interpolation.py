@@ -1,4 +1,4 @@
-"""Computes states of clips between frames, by splines or as AMP and ASE interpolate.
+"""Computes states of clips between frames, by splines or by the interpolation of AMP and ASE.
 
 The tensors hold the frames of all clips, one after the other. Quaternions are xyzw.
 """
@@ -38,16 +38,16 @@ class MotionState(NamedTuple):
 class Moments(NamedTuple):
     """Times (n,) in clips, each of which lies between two frames."""
 
-    row: Tensor  # row of the frame before, among the frames of all clips
-    next_row: Tensor  # row of the frame after, or `row` at the end of a clip
-    blend: Tensor  # time since the frame before, in frames; negative before the start of a clip
-    frame_s: Tensor  # time between two frames, s
+    row: Tensor  # row of the last frame before the time, among the frames of all clips
+    next_row: Tensor  # row of the first frame after the time, or `row` at the end of a clip
+    blend: Tensor  # time since the frame `row`, in frames; negative before the start of a clip
+    frame_s: Tensor  # time (s) from a frame to the next frame
 
 
 class Frames:
     """The frames of all clips on a device. Subclasses interpolate between these frames.
 
-    A joint is stored either as a rotation or as an angle, which may exceed pi. The bodies of the
+    A joint is stored either as a rotation or as an angle; angles may exceed pi. The bodies of the
     clips are in the skeleton's order. `key_ids` are the ids of the K key bodies.
     """
 
@@ -67,13 +67,12 @@ class Frames:
                 self._hinges.append(group)
                 self._angles.append(start)
                 continue
-            # Hinges that are stored as rotations have the axis y, so the second component is used.
+            # Hinges that are stored as rotations have the axis y, the second component.
             components = range(3) if end - start == 3 else (1,)
             places[start:end] = [3 * len(self._turned) + i for i in components]
             self._turned.append(group)
         shift = 3 * len(self._turned)
-        # Column of each DOF in an array that starts with all rotation vectors and ends with all
-        # angles.
+        # Column of each DOF in an array of all rotation vectors followed by all angles.
         self._columns = [
             shift + place if dof in self._angles else place for dof, place in enumerate(places)
         ]
@@ -113,12 +112,12 @@ class PoseSplines(Frames):
     ) -> None:
         super().__init__(skeleton, key_ids, device, with_angles=True)
         self._bodies = BodyPoses(skeleton)
-        # (frames, 2, columns): values, and their derivatives per frame.
+        # (frames, 2, columns), values and the derivatives of the values per frame.
         self._rows = self._tensor([self._rows_of(clip) for clip in clips])
 
     def _rows_of(self, clip: MotionClip) -> FloatArray:
         """Return root position, hinge angles and quaternions with derivatives, (T, 2, columns)."""
-        from scipy.interpolate import CubicSpline  # only clips need scipy
+        from scipy.interpolate import CubicSpline  # Only tasks with clips need scipy.
 
         angles, turns = self._joint_poses(clip)
         turns = np.concatenate((clip.local_rotation[:, :1], turns), axis=1).astype(np.float64)
@@ -161,7 +160,7 @@ class PoseSplines(Frames):
         return self._place_bodies(self._on_splines(at)[0])
 
     def _on_splines(self, at: Moments) -> tuple[Tensor, Tensor]:
-        """Return values (n, columns) and their rates per second."""
+        """Return the splines' values (n, columns) and the derivatives of the values per second."""
         before, slope = self._rows.index_select(0, at.row).unbind(1)
         after, next_slope = self._rows.index_select(0, at.next_row).unbind(1)
         # At the end of a clip there is no next frame.
@@ -196,8 +195,8 @@ class PublishedFrames(Frames):
 
     World positions are interpolated linearly, and rotations by slerp. Before the start of a clip,
     positions and rotations are extrapolated from the first two frames. Velocities are not
-    interpolated but taken from the frame before. The velocities of the root are stored, and joint
-    velocities are differences to the next frame.
+    interpolated; they are the velocities of the last frame before the time. The velocities of the
+    root are stored in the clip, and joint velocities are differences to the next frame.
 
     As in AMP and ASE, ball joints and hinges of the shipped humanoids are stored as rotations.
     Hinges of other skeletons, or of clips with `dof_pos`, are stored as angles.
@@ -281,5 +280,5 @@ FRAMES: dict[str, type[PoseSplines | PublishedFrames]] = {
     "spline": PoseSplines,
     "published": PublishedFrames,
 }
-"""Maps names in `task.env.clipInterpolation` to interpolations."""
+"""Maps each value of `task.env.clipInterpolation` to its class."""
 INTERPOLATIONS = tuple(FRAMES)

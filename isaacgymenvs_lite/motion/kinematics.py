@@ -1,7 +1,7 @@
 """Forward kinematics and velocities of pose sequences in float64, with quaternions xyzw.
 
-The formulas are those of poselib. Velocities agree with a published file within 3e-6 m/s and 1e-3
-rad/s. Shapes use T frames and J bodies.
+The formulas are poselib's formulas. Velocities agree with a published file within 3e-6 m/s and 1e-3
+rad/s. T is the number of frames and J the number of bodies.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from isaacgymenvs_lite.utils import rotations
 
 FloatArray = npt.NDArray[np.floating]
 
-# poselib smooths velocities with a Gaussian filter over time. Sigma and radius are in frames.
+# Sigma and radius, in frames, of the Gaussian filter with which poselib smooths velocities.
 _FILTER_SIGMA = 2.0
 _FILTER_RADIUS = 8
 
@@ -61,8 +61,8 @@ def local_rotations(parent_indices: Sequence[int], global_rotation: FloatArray) 
 def linear_velocities(positions: FloatArray, fps: float) -> FloatArray:
     """Return the smoothed velocities (T, J, 3) m/s of positions (T, J, 3) m, T >= 2.
 
-    The velocities are central differences, with one-sided differences at the ends, smoothed by the
-    Gaussian filter.
+    The velocities are central differences (one-sided in the first and last frame), which the
+    Gaussian filter smooths.
     """
     return _smooth(np.gradient(np.asarray(positions, dtype=np.float64), axis=0)) * fps
 
@@ -85,8 +85,8 @@ def joint_velocities(local_rotation: FloatArray, fps: float) -> FloatArray:
 
     The velocity of a frame comes from the rotation to the next frame. The last frame repeats the
     previous velocity (T >= 2). The arithmetic is that of IsaacGymEnvs in the precision of the data,
-    and results agree within 3e-6 rad/s. In float32 at 60 fps, the errors of the arc cosine reach
-    0.03 rad/s for slow joints.
+    and the results agree with IsaacGymEnvs within 3e-6 rad/s. In float32 at 60 fps, the errors of
+    the arc cosine reach 0.03 rad/s for slow joints.
     """
     local = torch.from_numpy(np.ascontiguousarray(local_rotation))
     if local.dtype != torch.float32:
@@ -116,12 +116,15 @@ def _tensor(array: FloatArray) -> torch.Tensor:
 
 
 def _canonical(q: torch.Tensor) -> torch.Tensor:
-    """Scale quaternions (..., 4) to unit length and choose the sign with w >= 0."""
+    """Scale quaternions (..., 4) to unit length, and negate those with w < 0."""
     return rotations.quat_unit(torch.where(q[..., 3:] < 0.0, -q, q))
 
 
 def _smooth(x: FloatArray) -> FloatArray:
-    """Filter x (T, ...) over time with the Gaussian, as if the end values continued."""
+    """Filter x (T, ...) over time with the Gaussian filter.
+
+    Beyond the first and the last frame, x is constant.
+    """
     reach = np.arange(-_FILTER_RADIUS, _FILTER_RADIUS + 1)
     weights = np.exp(-0.5 * (reach / _FILTER_SIGMA) ** 2)
     weights /= weights.sum()

@@ -47,20 +47,20 @@ from isaacgymenvs_lite.utils.yaml_file import load_yaml
 
 _log = logging.getLogger(__name__)
 
-# Advice for a robot's clip in place of a humanoid's clip, and for the opposite case.
+# Advice if a robot's clip is given where a humanoid's clip is needed, and for the opposite case.
 ROBOT_HINT = "a clip of a robot needs task=RobotAMP in training, robot=FILE in the clip commands"
 RETARGET_HINT = "retarget it with isaacgymenvs-lite convert IN OUT.npz robot=FILE"
 # Files round offsets to 1e-4 m. A larger difference means that a clip belongs to another body.
 _OFFSET_TOLERANCE_M = 0.01
-# Rotations of knees and elbows out of their axes are dropped, which is visible above this angle
-# (0.6 deg).
+# Rotations of knees and elbows about other axes are dropped; the motion looks different if such a
+# rotation exceeds this angle (0.6 deg).
 _HINGE_TOLERANCE_RAD = 0.01
-# Differences between joint coordinates and poses from interpolation are smaller than this.
+# Interpolation causes differences between joint coordinates and poses that are smaller than this.
 _DOF_TOLERANCE_RAD = 0.05
-# Human motion stays below these values, and clips in centimetres exceed them.
+# Limits that human motion does not reach, but clips in centimetres exceed.
 _USUAL_PLACE_M, _USUAL_SPEED_M_S, _USUAL_SPEED_RAD_S = 1_000.0, 60.0, 300.0
 _DATASET_SUFFIXES = (".yaml", ".yml")
-# To find a file for a name without suffix, these suffixes are tried in this order.
+# Suffixes that are added, in this order, to a name without suffix to find a file.
 _GUESSED_SUFFIXES = (".npz", ".npy", ".yaml", ".json")
 _CONVERT = "isaacgymenvs-lite convert IN.bvh OUT.npz"
 _EXAMPLE = 'expected `motions:` with a list of `- {file: "clip.npz", weight: 0.5}`'
@@ -71,9 +71,9 @@ class JointFileSettings:
     """A user's settings for a file of a robot's joint coordinates."""
 
     fps: float | None = None
-    """Frames per second of a table without a rate. None selects the default of its format."""
+    """Frames per second of a table without a frame rate; None selects the format's default."""
     quat_order: QuatOrder | None = None
-    """Order of the file's quaternions. None selects the rules of `read_joint_clip`."""
+    """Order of the file's quaternions; None selects the order by the rules of `read_joint_clip`."""
     by_order: bool = False
     """Whether joints are matched by their order instead of their names."""
 
@@ -115,7 +115,7 @@ def load_clips(
             clip, or `deepmimic:<name>`. A `.yaml` file is a data set. The clip formats are `.npz`,
             `.npy` and `.json` (poselib), `.txt` and `.json` (DeepMimic), `.csv` (joint angles), and
             robots' joint coordinates (`formats.robot_clip`). A `.pkl` or `.npy` of a robot may
-            contain several motions, which get equal weights. `FILE:MOTION` selects one of them.
+            contain several motions, which get equal weights. `FILE:MOTION` selects one motion.
         skeleton: the clips' skeleton, by default the humanoid with 28 degrees of freedom. The clips
             get the skeleton's order of bodies.
 
@@ -288,7 +288,7 @@ class _Dataset:
 
 @dataclass(frozen=True)
 class DatasetEntry:
-    """One clip of a data set: its path as written in the data set, and its unnormalised weight."""
+    """A clip of a data set, with the path in the data set's file and the unnormalised weight."""
 
     file: str = setting()
     weight: float = setting(minimum=0, maximum=1e12)
@@ -317,9 +317,9 @@ def read_dataset(path: str | Path) -> list[DatasetEntry]:
 def fit_to_skeleton(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
     """Return the clip with its bodies in the order of `skeleton`.
 
-    Rotations of hinges about other axes are dropped. A warning names such rotations, limbs of other
-    lengths, joint coordinates that contradict the poses, and implausible positions and speeds.
-    Raises MotionFileError for a clip of another skeleton.
+    Rotations of hinges about other axes are dropped. A warning names dropped rotations, limbs whose
+    lengths differ from the skeleton's, joint coordinates that contradict the poses, and implausible
+    positions and speeds. Raises MotionFileError for a clip of another skeleton.
     """
     _refuse_other_bodies(clip, skeleton)
     clip = _reorder(clip, skeleton)
@@ -356,7 +356,7 @@ def _refuse_other_bodies(clip: MotionClip, skeleton: Skeleton) -> None:
 
 
 def _reorder(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
-    """Reorder the bodies and check that each has the same parent as in the skeleton."""
+    """Reorder the bodies, and check that each body has the same parent as in the skeleton."""
     order = [clip.body_names.index(name) for name in skeleton.body_names]
     for body, name in enumerate(skeleton.body_names):
         parent = _parent_name(clip.body_names, clip.parent_indices[order[body]])

@@ -30,11 +30,10 @@ __all__ = ["MotionLib", "MotionState"]
 
 _log = logging.getLogger(__name__)
 
-# A frame's time, even rounded down to float32, must select this frame, not the one before.
+# Factor of times, so that a frame's time, rounded down to float32, selects this frame.
 _TIME_ROUNDING = 1.0 + 1e-7
 
-# The amount of motion at a time is the distance of the bodies over `_MOTION_S`, which is computed
-# for bins.
+# The amount of motion in a bin is the mean distance that the bodies cover in `_MOTION_S`.
 _MOTION_S, _MOTION_BIN_S = 0.1, 1.0 / 30.0
 _LEAST_MOTION_M = 1e-6
 
@@ -43,7 +42,7 @@ _Times = Tensor | npt.NDArray[np.floating] | Sequence[float]
 
 
 class MotionLib:
-    """Clips of one humanoid or robot, which are sampled by weight and evaluated at any time.
+    """Clips of a humanoid or robot, sampled in proportion to weights and evaluated at any time.
 
     Args:
         motion_file: a clip or a data set (see `loader.load_clips`).
@@ -126,7 +125,7 @@ class MotionLib:
         return bodies_on_ground(self._clips, self.skeleton)
 
     def get_motion(self, motion_id: int) -> MotionClip:
-        """Return a clip, whose bodies are in the order of the skeleton."""
+        """Return a clip; its bodies are in the order of the skeleton."""
         return self._clips[motion_id]
 
     def motion_weights(self) -> Tensor:
@@ -138,7 +137,7 @@ class MotionLib:
         return self._lengths_s[torch.as_tensor(motion_ids, dtype=torch.long, device=self.device)]
 
     def sample_motions(self, n: int) -> Tensor:
-        """Draw clip ids (n,) by weight with replacement, with torch's generator."""
+        """Draw clip ids (n,) from torch's generator, with replacement, in proportion to weights."""
         uniform = torch.rand(n, device=self.device, dtype=torch.float64)
         return torch.searchsorted(self._cumulative_weights, uniform, right=True)
 
@@ -162,7 +161,7 @@ class MotionLib:
         """
         ids = torch.as_tensor(motion_ids, dtype=torch.long, device=self.device)
         cumulative, first_bins, widths_s = self._motion_bins
-        # The cumulative motion is normalised to rise from k to k + 1 in clip k.
+        # The cumulative motion in clip k is scaled so that it rises from k to k + 1.
         wanted = ids + torch.rand(len(ids), device=self.device, dtype=torch.float64)
         bins = torch.searchsorted(cumulative, wanted, right=True) - first_bins[ids]
         within = torch.rand(len(ids), device=self.device)
@@ -171,7 +170,7 @@ class MotionLib:
 
     @functools.cached_property
     def _motion_bins(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Cumulative motion (B,) of bins, and first bins (M,) and bin widths (M,) s of clips."""
+        """Cumulative motion (B,) of bins; the clips' first bins (M,) and bin widths (M,) s."""
         cumulative, counts, widths_s = [], [], []
         for motion_id, length_s in enumerate(self._lengths_s.tolist()):
             count = max(1, round(length_s / _MOTION_BIN_S))
@@ -192,8 +191,8 @@ class MotionLib:
     def get_motion_state(self, motion_ids: _Ids, motion_times: _Times) -> MotionState:
         """Return the states of clips (n,) at times (n,) in s.
 
-        Before the start of a clip, the state is extrapolated. After the end of a clip, its last
-        pose is kept.
+        Before the start of a clip, the state is extrapolated. After the end of a clip, the state
+        has the last pose of the clip.
         """
         return self._frames.states(self._moments(motion_ids, motion_times))
 
@@ -214,7 +213,7 @@ class MotionLib:
 
 
 def _without_copies(clip: MotionClip, repair: bool) -> MotionClip:
-    """If `repair`, drop copies of frames that are stored twice. Otherwise log a warning."""
+    """Drop copies of frames that are stored twice, or only log a warning if `repair` is False."""
     if clip.find_repeated_frames() is None:
         return clip
     if not repair:

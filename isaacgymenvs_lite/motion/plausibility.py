@@ -34,18 +34,19 @@ _log = logging.getLogger(__name__)
 GROUND_QUANTILE = 0.05
 """The ground's height is this quantile of the lowest points of all frames."""
 _DEEP_M, _HIGH_M = 0.03, 0.03
-_IN_AIR_M = 0.1  # in recorded walks, feet can be 8 cm above the ground
+_IN_AIR_M = 0.1  # Above this height a clip is in the air; feet in recorded walks reach 8 cm.
 # A body touches the ground if it is low in at least `_TOUCH_SHARE` of the frames. Low means below
 # `_TOUCH` times the usual height of the centre of mass (3 cm for a human).
 _TOUCH, _TOUCH_SHARE = 0.033, 0.02
 # A character rolls or lies if its centre of mass is below this share of the usual height.
 _LOW_MASS = 0.45
 _GRAVITY_M_S2 = 9.81
-# Recorded jumps fall with 9.6 to 10.8 m/s^2, because the body's shape changes in flight.
+# Tolerance of the acceleration in flight; recorded jumps fall with 9.6 to 10.8 m/s^2, because the
+# body's shape changes in flight.
 _FALL_TOLERANCE_M_S2 = 1.2
 _FALL_MISFIT_M = 0.02
 _HOVERING_M_S2 = 5.0
-# Shorter flights do not allow an estimate of the acceleration.
+# Least duration of a flight whose acceleration is estimated.
 _FLIGHT_S, _FLIGHT_FRAMES = 0.2, 5
 _EXCESS_RAD = 0.1
 # In a cycle, the mean distance of the bodies between first and last pose is below this value.
@@ -57,7 +58,7 @@ _MAX_NAMED = 5
 
 @dataclass(frozen=True, eq=False)
 class _Poses:
-    """T frames of a clip, which are at most `_MAX_FRAMES`."""
+    """T frames of a clip, at most `_MAX_FRAMES`."""
 
     fps: float  # selected frames per second
     # Maps a body id to the heights (T,) m of the body's lowest point that can touch the ground.
@@ -118,7 +119,7 @@ def is_in_air(clip: MotionClip, skeleton: Skeleton) -> bool:
 
 
 def put_on_ground(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
-    """Move the clip vertically until its lowest points are on the ground, and return it."""
+    """Return the clip, moved vertically so that its lowest points are on the ground."""
     poses = _Poses.of(clip, skeleton)
     if poses is None:
         return clip
@@ -134,7 +135,7 @@ def bodies_on_ground(clips: Sequence[MotionClip], skeleton: Skeleton) -> list[st
     mass comes near the ground, the function returns all bodies, because recorded contacts of rolls
     and crawls are seldom exact.
     """
-    # The usual height is that of the centre of mass above the ground, with all joints at rest.
+    # The usual height is the height of the centre of mass above the ground with all joints at rest.
     model = skeleton.model
     qpos = model.qpos0.copy()
     qpos[2] = start_height(model, qpos) - CLEARANCE
@@ -173,7 +174,7 @@ def implausible(clip: MotionClip, skeleton: Skeleton) -> list[str]:
 
 
 def warn_of_implausible(clips: Sequence[MotionClip], skeleton: Skeleton) -> dict[str, str]:
-    """Log up to `_MAX_NAMED` implausible clips, and return all their descriptions by name."""
+    """Log up to `_MAX_NAMED` implausible clips; return a dictionary from names to descriptions."""
     found = {clip.name: text for clip in clips if (text := "; ".join(implausible(clip, skeleton)))}
     lines = [f"{name}: implausible: {text}" for name, text in found.items()]
     if len(lines) > _MAX_NAMED:
@@ -184,7 +185,7 @@ def warn_of_implausible(clips: Sequence[MotionClip], skeleton: Skeleton) -> dict
 
 @functools.lru_cache(maxsize=8)
 def _warn_once(lines: tuple[str, ...]) -> None:
-    """Log lines only once, although a training loads its clips again for the evaluation."""
+    """Log lines, but not a second time when a training loads its clips again for the evaluation."""
     for line in lines:
         _log.warning("%s", line)
 
@@ -238,7 +239,7 @@ def _beyond_limits(clip: MotionClip, skeleton: Skeleton) -> str:
 
 
 def _ends_in_air(poses: _Poses) -> str:
-    """Describe a start or end in the air. The text is empty if there is none or in a cycle."""
+    """Describe a start or end in the air; return "" if there is none or if the clip is a cycle."""
     difference_m = np.linalg.norm(poses.body_pos[0] - poses.body_pos[-1], axis=-1)
     if difference_m.mean() < _CLOSED_M:
         return ""

@@ -47,7 +47,7 @@ class PlotSettings:
 def joint_angles(clip: MotionClip, skeleton: Skeleton) -> dict[str, npt.NDArray[np.float64]]:
     """Return the angles (T,) rad of each joint, which are unsigned for ball joints.
 
-    The key is the body's name, or for a robot's hinge the joint's name.
+    The key is the body's name; for a robot's hinge, the key is the joint's name.
     """
     dofs = dofs_of_clip(skeleton, clip)
     angles = {}
@@ -65,7 +65,7 @@ def joint_angles(clip: MotionClip, skeleton: Skeleton) -> dict[str, npt.NDArray[
 def foot_contacts(
     clip: MotionClip, feet: Collection[str] | None = None
 ) -> dict[str, npt.NDArray[np.bool_]]:
-    """Return for each foot whether it is on the ground (low and slow) in the frames (T,).
+    """Return, for each foot and frame (T,), whether the foot is low and slow, on the ground.
 
     `feet` are body names. None selects the bodies with "foot" in their names.
     """
@@ -83,7 +83,7 @@ def foot_contacts(
 
 def plot_clip(name: str, settings: PlotSettings) -> Path:
     """Plot a clip and return the path of the picture."""
-    from matplotlib.figure import Figure  # the import takes half a second
+    from matplotlib.figure import Figure  # This import takes half a second.
 
     clip, skeleton, robot = load_shown_clip(name, settings.robot)
     angles = joint_angles(clip, skeleton)
@@ -111,7 +111,7 @@ def plot_clip(name: str, settings: PlotSettings) -> Path:
     path = Path(settings.out)
     try:
         figure.savefig(path, dpi=120)
-    except (OSError, ValueError) as error:  # ValueError: an unknown format
+    except (OSError, ValueError) as error:  # An unknown format raises ValueError.
         reason = getattr(error, "strerror", None) or error
         raise ConfigError(f"out={settings.out}: cannot be written ({reason})") from error
     log.info("%s: wrote %s", clip.name, path)

@@ -32,9 +32,9 @@ _ROOT = 7  # qpos values of the free joint: position and quaternion wxyz
 def clip_to_qpos(
     clip: MotionClip, skeleton: Skeleton | None = None
 ) -> tuple[mujoco.MjModel, npt.NDArray[np.float64]]:
-    """Return the MuJoCo model of a clip and its poses qpos (T, nq).
+    """Return the MuJoCo model of a clip and the clip's poses qpos (T, nq).
 
-    `skeleton` is that of the robot. None selects the shipped humanoid that has the clip's bodies.
+    If `skeleton`, the robot's, is None, the shipped humanoid with the clip's bodies is used.
     """
     if skeleton is None:
         file = shipped_humanoid_with(clip.body_names)
@@ -73,8 +73,9 @@ class BodyPoses:
 def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) -> MotionClip:
     """Make a clip of a robot from qpos (T, nq) by MuJoCo's kinematics.
 
-    The columns of objects may be left out. Follower joints get their angles from their leaders, and
-    may be NaN in `qpos`. A warning names followers whose angles in `qpos` differ.
+    The columns of objects may be left out. The angles of follower joints are computed from their
+    leader joints, and may be NaN in `qpos`. A warning names followers whose angles in `qpos` differ
+    from the computed angles.
     """
     qpos = np.asarray(qpos, dtype=np.float64)
     num_columns = skeleton.qpos_addresses[-1]
@@ -185,7 +186,7 @@ def dofs_of_clip(skeleton: Skeleton, clip: MotionClip) -> FloatArray:
 def dofs_from_rotations(skeleton: Skeleton, local_rotation: FloatArray) -> FloatArray:
     """Return the DOFs (T, num_dofs) in rad of local rotations (T, J, 4) xyzw.
 
-    Hinge angles are within pi of their rest angles. The errors are those of `qpos_from_poses`.
+    Hinge angles are within pi of their rest angles. Raises the errors of `qpos_from_poses`.
     """
     vectors = rotations.quat_log(turned_by_joints(skeleton, local_rotation))
     columns = []
@@ -221,7 +222,7 @@ def joint_rotations(skeleton: Skeleton, dofs: FloatArray) -> Tensor:
 def turned_by_joints(skeleton: Skeleton, local_rotation: FloatArray) -> Tensor:
     """Return the bodies' rotations (T, J, 4) xyzw relative to their rest rotations.
 
-    The errors are those of `qpos_from_poses`.
+    Raises the errors of `qpos_from_poses`.
     """
     if skeleton.shared_body_ids:
         names = ", ".join(skeleton.body_names[body] for body in skeleton.shared_body_ids)
@@ -259,7 +260,7 @@ def _turned_at_rest(skeleton: Skeleton) -> list[int]:
 def _hinge_angle(skeleton: Skeleton, group: int, vectors: Tensor) -> Tensor:
     """Return the angles (T, 1) rad of a hinge for rotation vectors (T, 3) of its body."""
     axis = skeleton.joint_axes[group]
-    # Sums with zero components would change the signs of zeros.
+    # The components are not summed, because a sum with zeros would change the signs of zeros.
     parts = [float(axis[i]) * vectors[:, i : i + 1] for i in np.flatnonzero(axis)]
     angle = torch.stack(parts).sum(dim=0) if len(parts) > 1 else parts[0]
     ref = float(skeleton.joint_refs[group])

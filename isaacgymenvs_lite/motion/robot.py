@@ -1,6 +1,6 @@
 """Checks the file of a robot: isaacgymenvs-lite robot FILE [out=FILE.png].
 
-    isaacgymenvs-lite robot mjcf/g1.xml               # lists what is used and what is added
+    isaacgymenvs-lite robot mjcf/g1.xml               # lists used and added parts
     isaacgymenvs-lite robot /robots/g1.urdf out=start.png
 
 FILE is an MJCF or URDF: an absolute path, a path relative to the working directory, or a name in
@@ -36,7 +36,7 @@ class RobotCheckSettings:
 
 
 def check_robot(file: str, settings: RobotCheckSettings) -> None:
-    """Log what RobotAMP uses from a robot's file and what it adds, and draw the start pose."""
+    """Log what RobotAMP uses from a robot's file and what RobotAMP adds; draw the start pose."""
     robot = load_clip_robot(file)
     for line in robot.prepared.describe():
         for part in textwrap.wrap(line, _COLUMNS, subsequent_indent="    "):

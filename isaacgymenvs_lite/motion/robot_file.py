@@ -58,7 +58,7 @@ class ClipRobot:
 
 
 def load_clip_robot(name: str, settings: RobotSettings | None = None) -> ClipRobot:
-    """Read the robot of a clip. Raise a ConfigError if this is impossible.
+    """Read the robot of a clip, or raise a ConfigError.
 
     `name` is an absolute path, or a path relative to the working directory or to assets/.
     """
@@ -77,7 +77,7 @@ def load_clip_robot(name: str, settings: RobotSettings | None = None) -> ClipRob
 
 
 def load_shown_clip(name: str, robot: str) -> tuple[MotionClip, Skeleton, ClipRobot | None]:
-    """Read a clip; return clip, skeleton, and robot (None for a shipped humanoid)."""
+    """Read a clip; return the clip, its skeleton, and its robot (None for a shipped humanoid)."""
     if not robot:
         return *load_single_clip(name), None
     loaded = load_clip_robot(robot)

@@ -39,7 +39,7 @@ class Skeleton:
     body_names: tuple[str, ...]  # J names
     parent_indices: tuple[int, ...]  # J body ids, -1 for the root; parents come before children
     # (J, 3) m, origins of bodies in their parents' frames with joints at rest. The root's row is
-    # its position in the model file, and kinematics does not use it.
+    # the root's position in the model file, which kinematics does not use.
     local_translation: npt.NDArray[np.float64]
     dof_body_ids: tuple[int, ...]  # G body ids, one per joint group, in DOF order
     # (G + 1,) joint group g has the DOFs from dof_offsets[g] up to, but not including,
@@ -75,12 +75,12 @@ class Skeleton:
 
     @property
     def dof_sizes(self) -> tuple[int, ...]:
-        """The number of DOFs of each joint group: 3 or 1."""
+        """The number of DOFs, 3 or 1, of each joint group."""
         return tuple(end - start for start, end in itertools.pairwise(self.dof_offsets))
 
     @property
     def shared_body_ids(self) -> tuple[int, ...]:
-        """The ids of bodies with several joints, whose body rotations do not determine the DOFs."""
+        """The ids of bodies with several joints; their rotations do not determine the DOFs."""
         ids = self.dof_body_ids
         return tuple(sorted({body for body in ids if ids.count(body) > 1}))
 
@@ -99,7 +99,7 @@ class Skeleton:
 
     @functools.cached_property
     def has_offset_joints(self) -> bool:
-        """Whether a joint is away from its body's origin, so that its rotation moves the origin."""
+        """Whether a joint is not at its body's origin, so that the joint moves the origin."""
         return bool(self.joint_anchors.any())
 
     @functools.cached_property
@@ -194,10 +194,9 @@ def skeleton_for_num_dofs(num_dofs: int) -> Skeleton:
 
 
 def shipped_humanoid_with(body_names: Sequence[str]) -> str | None:
-    """Return the model file, relative to the assets folder, of the humanoid with these bodies.
+    """Return the path, relative to the assets folder, of the humanoid with these bodies, or None.
 
-    The order of the names does not matter. If no shipped humanoid has these bodies, the result is
-    None.
+    The order of the names does not matter.
     """
     for num_dofs, file in _HUMANOIDS.items():
         if set(skeleton_for_num_dofs(num_dofs).body_names) == set(body_names):

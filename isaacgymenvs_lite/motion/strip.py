@@ -44,8 +44,8 @@ def draw_poses(
 
 
 def save_png(path: str | Path, image: Image) -> Path:
-    """Write a picture (height, width, 3) with 128 colours, which makes a small file."""
-    import PIL.Image  # few commands need this package
+    """Write a picture (height, width, 3) with 128 colours, so that the file is small."""
+    import PIL.Image  # Few commands need this package.
 
     path = Path(path)
     try:
@@ -62,11 +62,11 @@ class StripSettings:
     robot: str = setting("")
     """The robot's MJCF or URDF. For a clip of a shipped humanoid it is empty."""
     seconds: float = setting(0.0, minimum=0)
-    """Shown time (s) from the start of the clip. 0 selects the whole clip."""
+    """Duration (s) of the drawn part from the start of the clip; 0 selects the whole clip."""
     frames: int = setting(8, minimum=1)
     """Number of poses."""
     azimuth: float = setting(90.0)
-    """Direction of the camera in degrees: 90 from the right, 180 from the front."""
+    """Direction in degrees in which the camera looks, 90 from the right, 180 from the front."""
 
 
 def draw_strip(name: str, out: str, settings: StripSettings) -> Path:

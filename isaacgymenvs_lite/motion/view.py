@@ -43,9 +43,9 @@ class ViewSettings:
     out: str = setting("")
     """Path of the .mp4 or .webp to write. If it is empty, a window shows the clip."""
     seconds: float = setting(0.0, minimum=0)
-    """Shown time (s), in which a short clip repeats. 0 selects the clip's length."""
+    """Duration (s) of the video, in which a short clip repeats; 0 selects the clip's length."""
     azimuth: float = setting(90.0)
-    """Direction of the camera in degrees: 90 from the right, 180 from the front."""
+    """Direction in degrees in which the camera looks, 90 from the right, 180 from the front."""
 
 
 def view_clip(name: str, settings: ViewSettings) -> None:
@@ -72,8 +72,8 @@ def view_clip(name: str, settings: ViewSettings) -> None:
 def _show(
     model: mujoco.MjModel, poses: npt.NDArray[np.float64], fps: float, azimuth_deg: float
 ) -> None:
-    """Repeat poses (T, nq) in a window until it is closed."""
-    from mujoco import viewer  # needs GLFW
+    """Repeat poses (T, nq) in a window until the window is closed."""
+    from mujoco import viewer  # This import needs GLFW.
 
     data = mujoco.MjData(model)
     with viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:

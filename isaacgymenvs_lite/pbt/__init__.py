@@ -1,5 +1,5 @@
-"""Population based training (PBT), in which policies compare through a shared folder.
+"""Population based training (PBT), whose policies exchange objectives through a shared folder.
 
-`observer` measures, decides and restarts during a training; `workspace` has the files, `mutation`
-changes settings, and `restart` starts the process again.
+`observer` measures the objective and decides about restarts, `workspace` reads and writes the
+shared files, `mutation` changes settings, and `restart` starts the process again.
 """

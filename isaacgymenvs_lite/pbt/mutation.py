@@ -1,4 +1,4 @@
-"""Changes settings at random; the functions have IsaacGymEnvs' names and arguments."""
+"""Changes settings at random, by functions with IsaacGymEnvs' names and arguments."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ def mutate_float(
     change_max: float = CHANGE_MAX,
     rng: Generator = _GLOBAL,
 ) -> float:
-    """Return x times or divided by a random factor, with equal probability."""
+    """Multiply or divide x by a random factor, each with probability 1/2; return the result."""
     factor = rng.uniform(change_min, change_max)
     return x * factor if rng.random() < 0.5 else x / factor
 
 
 def mutate_float_min_1(x: float, **options: Any) -> float:
-    """Return the result of `mutate_float`, at least 1."""
+    """Return the maximum of 1 and the result of `mutate_float`."""
     return max(1.0, mutate_float(x, **options))
 
 
 def mutate_eps_clip(x: float, **options: Any) -> float:
-    """Return the result of `mutate_float`, limited to PPO's clipping range 0.01 to 0.3."""
+    """Return the result of `mutate_float`, clipped to [0.01, 0.3], for PPO's `e_clip`."""
     return min(0.3, max(0.01, mutate_float(x, **options)))
 
 
 def mutate_mini_epochs(x: int, rng: Generator = _GLOBAL, **_: Any) -> int:
-    """Return x + 1 or x - 1 with equal probability, limited to 1 to 8."""
+    """Return x + 1 or x - 1 with equal probability, clipped to the range from 1 to 8."""
     return min(8, max(1, int(x) + (1 if rng.random() < 0.5 else -1)))
 
 
 def mutate_discount(x: float, rng: Generator = _GLOBAL, **_: Any) -> float:
-    """Return a discount whose distance from 1 changed by a factor of 1.1 to 1.2, at least 0."""
-    # A small change of gamma changes the learned values a lot.
+    """Multiply or divide 1 - x by a factor of 1.1 to 1.2; return 1 minus the result, or 0."""
+    # The factor is small, because small changes of the discount change learned values a lot.
     return max(0.0, 1.0 - mutate_float(1.0 - x, 1.1, 1.2, rng=rng))
 
 
@@ -60,7 +60,7 @@ _FUNCTIONS: dict[str, Callable[..., float]] = {
 
 
 def get_mutation_func(mutation_func_name: str) -> Callable[..., float]:
-    """Return a function by its name.
+    """Return the function with a name.
 
     Raises:
         ConfigError: the name is unknown.
@@ -78,10 +78,10 @@ def mutate(
     pbt_change_max: float,
     rng: Generator = _GLOBAL,
 ) -> dict[str, float]:
-    """Return settings by path, each changed with the probability `mutation_rate`.
+    """Change each setting with the probability `mutation_rate`; return all settings.
 
-    `mutations` has the name of a function for each path; factors are at least `pbt_change_min` and
-    at most `pbt_change_max`.
+    `mutations` maps the path of each setting to the name of a function. Random factors are between
+    `pbt_change_min` and `pbt_change_max`.
     """
     options = {"change_min": pbt_change_min, "change_max": pbt_change_max, "rng": rng}
     return {

@@ -1,7 +1,7 @@
 """Implements population based training as an observer of a training.
 
-Policies are replaced by the rules of DexPBT (Petrenko et al. 2023, arXiv:2305.12127) as in
-IsaacGymEnvs.
+The rules for replacing policies are DexPBT's (Petrenko et al. 2023, arXiv:2305.12127), which
+IsaacGymEnvs also uses.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ from isaacgymenvs_lite.pbt.workspace import Record, Workspace
 log = logging.getLogger(__name__)
 
 KEY = "true_objective"
-"""Key of a task's infos: (N,) the true objective, which may differ from the reward."""
-# Probability that a policy takes not only the weights but also the settings of a better policy.
+"""Key of the true objective (N,), which may differ from the reward, in a task's infos."""
+# Probability that a policy which copies a better policy's weights also copies its settings.
 _TAKE_SETTINGS = 0.5
-# The spread is measured without this share of the worst policies, because a failed policy would
-# hide all other differences.
+# Share of the worst policies that are left out when the standard deviation of the objectives is
+# computed, because one failed policy would dominate the standard deviation.
 _OUTLIERS = 0.2
 
 
 def run_suffix(tree: Mapping[str, Any]) -> str:
-    """Return the suffix of a policy's run folders; '' without a population."""
+    """Return the suffix of a policy's run folders, which is '' without a population."""
     settings = read_pbt_settings(tree)
     return "" if settings is None else f"_pbt_{settings.policy_idx:02d}"
 
 
 def first_mutation(tree: Mapping[str, Any], seed: int) -> dict[str, float]:
-    """Return the initial mutation of a policy's settings, by their paths.
+    """Return a dictionary from the paths of a policy's settings to the initially mutated values.
 
-    It is empty without a population, or if an earlier process has begun the policy.
+    The dictionary is empty without a population, or if an earlier process has begun the policy.
     """
     pbt = read_pbt_settings(tree)
     if pbt is None or _goes_on(tree):
@@ -60,7 +60,7 @@ def first_mutation(tree: Mapping[str, Any], seed: int) -> dict[str, float]:
 
 
 def mutable_settings(tree: Mapping[str, Any]) -> dict[str, float]:
-    """Return the mutable settings by their paths; empty without a population."""
+    """Map paths to the values of the mutable settings; return {} without a population."""
     pbt = read_pbt_settings(tree)
     return {} if pbt is None else mutable_values(tree, pbt)
 
@@ -69,7 +69,9 @@ def mutable_settings(tree: Mapping[str, Any]) -> dict[str, float]:
 def population_of(
     tree: Mapping[str, Any], seed: int, train_dir: Path, decides: bool = True
 ) -> Iterator[PBTObserver | None]:
-    """Join the population of a resolved tree, and give its observer; None without a population.
+    """Join a population during a `with` statement, which gives the observer.
+
+    Without a population the `with` statement gives None.
 
     Args:
         tree: the resolved tree.
@@ -97,17 +99,18 @@ def population_of(
 class ObjectiveMeter:
     """Measures the objective of the policy, and its best value since the last comparison.
 
-    The objective is the mean over all environments of `infos["true_objective"]` at the end of their
-    last episodes. Without this info it is the mean reward of the last `games_to_track` episodes.
+    The objective is the mean, over all environments, of `infos["true_objective"]` at the last step
+    of an environment's last episode. If a task lacks this info, the objective is the mean reward of
+    the last `games_to_track` episodes.
     """
 
     def __init__(self, algo: Any) -> None:
         self._algo = algo
-        self._last: Tensor | None = None  # (N,) nan before the end of the first episode
+        self._last: Tensor | None = None  # (N,) NaN until an environment's first episode ends
         self._best = -math.inf
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
-        """Store the values of the environments (n, 1) whose episodes ended in a step."""
+        """Store the objectives of the environments `done_indices` (n, 1), whose episodes ended."""
         rows = done_indices.flatten()
         if len(rows) == 0:
             return
@@ -131,7 +134,7 @@ class ObjectiveMeter:
 
     @property
     def value(self) -> float | None:
-        """The objective; None until all environments have ended an episode."""
+        """The objective, or None before each environment has ended an episode."""
         if self._last is not None:
             mean = self._last.mean().item()
         elif self._algo.game_rewards.current_size >= self._algo.games_to_track:
@@ -141,7 +144,7 @@ class ObjectiveMeter:
         return mean if math.isfinite(mean) else None
 
     def end_interval(self, value: float) -> float:
-        """Return the best value since the last call, including `value`, and forget it."""
+        """Return the best of `value` and all values since the last call; forget all of them."""
         best, self._best = max(self._best, value), -math.inf
         return best
 
@@ -149,19 +152,20 @@ class ObjectiveMeter:
 class PBTObserver(AlgoObserver):
     """Compares the policy with its population, and restarts the training with changed settings.
 
-    The policy writes its record and checkpoint into the workspace every `pbt.interval_steps` and
-    reads the files of the other policies. If it is replaced, a `RestartRequest` leaves rl_games'
-    loop.
+    Every `pbt.interval_steps` the policy writes its record and checkpoint into the workspace and
+    reads the files of the other policies. If the policy is replaced, a `RestartRequest` ends
+    rl_games' loop.
 
-    If several processes train one policy (data-parallel), the main process decides and all of them
-    restart: all processes call `after_steps` at the same place, and `share` sends the decision.
-    They need the main process' seed to begin with the same settings.
+    If several processes train one policy (data-parallel), the main process decides, and all
+    processes restart: they call `after_steps` at the same time, and `share` sends the decision. All
+    processes need the main process' seed, so that they begin with the same settings.
 
     Attributes:
         decides: whether this is the main process of the policy.
-        share: takes the decision of the main process (None elsewhere) and returns it everywhere.
-        is_stopping: returns whether the training is about to end, so that nothing restarts.
-        check_settings: raises an error if a training would refuse these settings.
+        share: function that returns the main process' argument, the decision, in all processes.
+        is_stopping: function that returns whether the training is about to end. Then it does not
+            restart.
+        check_settings: function that raises an error if a training would refuse the settings.
     """
 
     def __init__(
@@ -191,17 +195,17 @@ class PBTObserver(AlgoObserver):
         self._objective = ObjectiveMeter(algo)
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
-        """Measure the objective of the environments (n, 1) whose episodes ended."""
+        """Pass the infos of the environments (n, 1) whose episodes ended to the meter."""
         self._objective.process_infos(infos, done_indices)
 
     def after_steps(self) -> None:
-        """Compare after each interval; raise a `RestartRequest` if the policy is replaced."""
+        """Compare policies after each interval; raise a `RestartRequest` to replace this policy."""
         request = self.share(self.decide() if self.decides else None)
         if request is not None:
             raise request
 
     def decide(self) -> RestartRequest | None:
-        """Compare after each interval; return a request if the policy is replaced."""
+        """Compare policies after each interval; return a request if this policy is replaced."""
         frame = self._algo.frame
         iteration = frame // self._settings.interval_steps
         if self._iteration is None:
@@ -228,7 +232,7 @@ class PBTObserver(AlgoObserver):
             request = self._replaced_by(donor, population, rng)
             if request is not None or donor == settings.policy_idx:
                 return request
-            del population[donor]  # its checkpoint cannot be used: choose another policy
+            del population[donor]  # The donor's checkpoint is unusable; choose another policy.
 
     def _exchange(self, iteration: int, objective: float) -> dict[int, Record]:
         """Write this policy's record; return the newest record of each policy."""
@@ -237,7 +241,7 @@ class PBTObserver(AlgoObserver):
             iteration=iteration,
             true_objective=objective,
             frame=algo.frame,
-            epoch=max(0, algo.epoch_num - 1),  # rl_games has counted the running epoch
+            epoch=max(0, algo.epoch_num - 1),  # epoch_num includes the running epoch
             experiment_name=algo.experiment_name,
             params=self._params,
         )
@@ -257,7 +261,7 @@ class PBTObserver(AlgoObserver):
         return population
 
     def _leader(self, population: dict[int, Record]) -> int:
-        """Return the best policy; remove policies whose checkpoints cannot be used."""
+        """Remove policies with unusable checkpoints from `population`; return the best policy."""
         while True:
             leader = max(population, key=lambda index: population[index].true_objective)
             if leader == self._settings.policy_idx:
@@ -271,19 +275,20 @@ class PBTObserver(AlgoObserver):
                 return leader
 
     def _state_of(self, policy: int, record: Record) -> dict[str, Any]:
-        """Return the checkpoint of a policy after checking that this policy could use it."""
+        """Return another policy's checkpoint after checking that this policy can load it."""
         file = self._workspace.checkpoint_of(policy, record)
         state = load_checkpoint(file)
-        # The agent of a fork may lack this check.
+        # The agents of a fork of this package may lack this method.
         getattr(self._algo, "check_fits", lambda *_: None)(state, f"checkpoint={file}")
         return state
 
     def _replaced_by(
         self, donor: int, population: Mapping[int, Record], rng: random.Random
     ) -> RestartRequest | None:
-        """Return a request to restart; None if checkpoint or settings cannot be used.
+        """Return a request to restart, or None if the checkpoint or the settings cannot be used.
 
-        Nothing is written before both have been checked, so that the policy keeps its own state.
+        The checkpoint and the settings are checked before any file is written, so that a failure
+        does not change this policy.
         """
         own, algo = self._settings.policy_idx, self._algo
         params = self._params
@@ -295,10 +300,10 @@ class PBTObserver(AlgoObserver):
             state = self._state_of(donor, population[donor])
             try:
                 self.check_settings(params)
-            except Exception as error:  # a user's own task may raise errors of any type
+            except Exception as error:  # A user's task may raise errors of any type.
                 texts = ", ".join(f"{path}={value:.4g}" for path, value in params.items())
                 raise ConfigError(f"{one_line(error)}; settings of {donor}: {texts}") from error
-            # The run goes on at its own frame; only the networks come from the other policy.
+            # The run keeps its frame counter; only the networks come from the other policy.
             state |= {"frame": algo.frame, "epoch": population[own].epoch}
             if donor != own:
                 state.pop("last_mean_rewards", None)
@@ -329,22 +334,23 @@ def find_replacement(
     best_of_interval: float,
     rng: random.Random,
 ) -> int | None:
-    """Return the policy whose weights `settings.policy_idx` should take; None for no change.
+    """Return the policy whose weights `settings.policy_idx` should copy, or None for no change.
 
-    A policy among the worst always goes on with new settings. It gets the weights of one of the
-    best policies only if the difference is clear; otherwise the result is its own index.
+    A policy among the worst always gets new settings. It copies the weights of one of the best
+    policies only if their objectives differ clearly; otherwise the function returns
+    `settings.policy_idx`, and the weights stay.
 
     Args:
         settings: settings of the population.
-        objectives: objectives of the known policies, by index.
+        objectives: maps the index of each known policy to its objective.
         best_of_interval: best objective of this policy since the last comparison.
-        rng: chooses among the best policies.
+        rng: generator that chooses among the best policies.
     """
     own, total = settings.policy_idx, settings.num_policies
     ranked = sorted(objectives, key=lambda index: (-objectives[index], index))
     best = ranked[: math.ceil(settings.replace_fraction_best * total)]
     if not settings.dbg_mode:
-        # An unknown policy ranks last.
+        # A policy whose objective is unknown ranks last.
         unknown = [index for index in range(total) if index not in objectives]
         worst = [*ranked, *unknown][-math.ceil(settings.replace_fraction_worst * total) :]
         reached = min(objectives[index] for index in best)
@@ -364,10 +370,10 @@ def find_replacement(
 
 
 def num_needed(num_policies: int) -> int:
-    """Return the number of policies that must be known before a policy is replaced.
+    """Return how many policies must have written a record before a policy is replaced.
 
-    It is more than half of the policies, and at least three as in IsaacGymEnvs. A population of two
-    policies, which never changes in IsaacGymEnvs, needs both.
+    The number is more than half of the policies, and at least three as in IsaacGymEnvs. In a
+    population of two policies the number is two, although IsaacGymEnvs never replaces them.
     """
     return min(num_policies, max(2, num_policies // 2) + 1)
 
@@ -389,7 +395,7 @@ def _mutated(
 
 
 def _changes(former: Mapping[str, float], params: Mapping[str, float]) -> str:
-    """Return a text about the changed settings."""
+    """Describe the changed settings in a text for the log."""
     changed = {path for path in params if params[path] != former[path]}
     texts = [f"{path} {former[path]:.4g} -> {params[path]:.4g}" for path in sorted(changed)]
     return ", ".join(texts) or "the settings as they are"

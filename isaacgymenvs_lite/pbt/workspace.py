@@ -1,13 +1,13 @@
 """Reads and writes the folder of a population: `<train_dir>/<pbt.workspace>/`.
 
-    000/policy.yaml      the policy's experiment; only policies of one experiment compare
-    000/000012.pth       its checkpoint at the 12th comparison
-    000/000012.yaml      its record: objective, settings, frame
+    000/policy.yaml      settings that must be equal for all policies (the experiment)
+    000/000012.pth       checkpoint of policy 0 at the 12th comparison
+    000/000012.yaml      record of policy 0: objective, settings, frame
     best0/*.pth, *.yaml  the best policy that policy 0 has seen
 
-Every file has one writer and is complete or absent; a record is written after its checkpoint. Files
-of other policies are found by their names, and paths in them are ignored. A broken record is left
-out of the comparison.
+Only one process writes a file, and the file is complete or absent; a record is written after its
+checkpoint. The files of other policies are found by their file names; paths inside these files are
+ignored. A broken record is left out of the comparison.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _POLICY_FILE = "policy.yaml"
 _RECORD = re.compile(r"(\d{6,})\.yaml")
 _OBJECTIVE = re.compile(r"_best_obj_(-?[\d.]+)_iter_")
 MAX_RECORDS = 20
-"""Number of records of a policy that are kept, because other policies may be at earlier frames."""
+"""Number of records kept for each policy; other policies may still be at earlier frames."""
 _MAX_BEST = 3
 
 
@@ -53,20 +53,20 @@ class Record:
     experiment_name: str = setting()
     """Name of the policy's run folder."""
     params: dict[str, Any] = setting()
-    """Mutable settings by their paths."""
+    """Maps the paths of the mutable settings to their values."""
 
 
 class Workspace:
-    """The shared folder for one policy.
+    """The shared folder, from the view of one policy.
 
-    A `with` statement locks the policy's own folder. Its folders are removed at the end if the
-    policy has written no record.
+    A `with` statement locks the policy's folder. If the policy has written no record, its folders
+    are removed at the end of the `with` statement.
 
     Args:
         folder: the workspace.
         settings: settings of the population.
         tree: resolved tree of the training.
-        params: mutable settings by their paths.
+        params: maps the paths of the mutable settings to their values.
     """
 
     def __init__(
@@ -91,8 +91,8 @@ class Workspace:
         """Lock the folder of this policy.
 
         Raises:
-            ConfigError: the folder has links or cannot be written, or another process trains this
-                policy.
+            ConfigError: the folder contains links or cannot be written, or another process trains
+                this policy.
         """
         check_no_links(self._folder)
         missing = [path for path in (self._own, *self._own.parents) if not path.exists()]
@@ -120,18 +120,19 @@ class Workspace:
             self._lock.release()
             self._lock = None
         for folder in self._made:
-            with contextlib.suppress(OSError):  # it contains another policy or a record
+            with contextlib.suppress(OSError):  # The folder contains another policy or a record.
                 folder.rmdir()
 
     def join(self, is_new: bool) -> None:
         """Check that this policy belongs to the workspace, and write its experiment.
 
         Args:
-            is_new: whether the policy begins; otherwise it goes on and its records exist.
+            is_new: whether the policy begins. If it is False, the policy continues from its
+            records.
 
         Raises:
-            ConfigError: the workspace belongs to another experiment, or this policy was trained in
-                it before.
+            ConfigError: the workspace belongs to another experiment, or a new policy already has
+                records.
         """
         index = self._settings.policy_idx
         if is_new and (iterations := self._iterations(index)):
@@ -190,13 +191,13 @@ class Workspace:
         self._write_yaml(file, {**asdict(record), **paths})
         for iteration in self._iterations(index)[:-MAX_RECORDS]:
             old = self._file(index, iteration)
-            old.unlink(missing_ok=True)  # the record goes before its checkpoint
+            old.unlink(missing_ok=True)  # A record is removed before its checkpoint.
             old.with_suffix(".pth").unlink(missing_ok=True)
 
     def keep_best(self, policy_idx: int, record: Record, task: str) -> None:
-        """Copy a policy's checkpoint into this policy's `best` folder if it is the best so far.
+        """Copy a policy's checkpoint into this policy's `best` folder if no better policy is there.
 
-        The file's name includes the task.
+        The name of the copied file includes the task.
         """
         folder = self._folder / f"best{self._settings.policy_idx}"
         folder.mkdir(exist_ok=True)
@@ -225,9 +226,9 @@ class Workspace:
     # --- reading ---------------------------------------------------------------------------
 
     def newest_records(self, iteration: int) -> dict[int, Record]:
-        """Return the newest record of each policy that is not ahead of an iteration.
+        """Return a dictionary from each policy to its newest record up to an iteration.
 
-        A broken file is logged once and left out, because it must not end a long training.
+        A broken file is logged once and left out, because an error would end a long training.
         """
         found: dict[int, Record] = {}
         for index in range(self._settings.num_policies):
@@ -235,7 +236,7 @@ class Workspace:
                 file = self._file(index, number)
                 try:
                     found[index] = self._read_record(file, number)
-                except FileNotFoundError:  # the other policy has removed it meanwhile
+                except FileNotFoundError:  # The other policy has removed its record meanwhile.
                     continue
                 except ConfigError as error:
                     if file not in self._warned:
@@ -279,12 +280,12 @@ class Workspace:
 
 
 def _read_yaml(file: Path) -> dict[str, Any]:
-    """Return the mapping in a file; see `_read_record` for errors."""
+    """Return the mapping that a file contains; see `_read_record` for errors."""
     try:
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise
-    except Exception as error:  # on arbitrary bytes the reader may raise anything
+    except Exception as error:  # The YAML reader raises many types of errors on arbitrary bytes.
         raise ConfigError(f"{file} is broken: {one_line(error)[:200]}") from error
     if not isinstance(content, dict):
         raise ConfigError(f"{file} is broken: {short(content)}, expected keys and values")

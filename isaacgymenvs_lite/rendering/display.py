@@ -18,9 +18,9 @@ def check_display(setting: str = "headless=False", instead: str = _INSTEAD) -> N
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # GLFW's reason why not
+            warnings.simplefilter("ignore")  # GLFW warns if no window can be opened.
             shown = bool(importlib.import_module("glfw").init())
-    except Exception as error:  # the library behind it may be missing in many ways
+    except Exception as error:  # A missing GLFW library raises errors of many types.
         raise ConfigError(
             f"{setting}: no window can be opened here ({error}); without one: {instead}"
         ) from error

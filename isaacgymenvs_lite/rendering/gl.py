@@ -1,8 +1,8 @@
 """Chooses an OpenGL library that draws without a screen.
 
-MuJoCo reads the environment variable MUJOCO_GL when it is imported; its default library needs a
-screen. `ensure_gl` chooses a library later, before the first picture, so that users need not set a
-variable.
+MuJoCo reads the environment variable MUJOCO_GL when MuJoCo is imported; the default OpenGL library
+needs a screen. `ensure_gl` chooses another library before the first picture is drawn, so that users
+need not set the variable.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from isaacgymenvs_lite.errors import UserError
 
 log = logging.getLogger(__name__)
 
-# Libraries that render without a screen on Linux, in the order in which they are tried. EGL uses
-# the GPU or Mesa's drivers, OSMesa renders in software.
+# Libraries that render without a screen on Linux, in the order in which `ensure_gl` tries them. EGL
+# uses the GPU or Mesa's drivers, and OSMesa renders in software.
 _BACKENDS = ("egl", "osmesa")
 _PLATFORM_VARIABLE = "PYOPENGL_PLATFORM"
 GL_MODULES = ("OpenGL", "mujoco.egl", "mujoco.osmesa")
@@ -35,14 +35,14 @@ class RenderingError(UserError, RuntimeError):
 def ensure_gl() -> str:
     """Choose a library with which MuJoCo draws without a screen, and return its name.
 
-    A value of MUJOCO_GL in the environment is respected. Otherwise EGL is tried, then OSMesa, and
-    MUJOCO_GL is set to the library that works. MuJoCo's default is kept on other systems than
-    Linux.
+    If the environment contains MUJOCO_GL, its value is used. Otherwise EGL is tried, then OSMesa,
+    and MUJOCO_GL is set to the library that works. On systems that are not Linux, MuJoCo's default
+    is kept.
 
     Raises:
         RenderingError: no library works; the message names the Debian packages.
     """
-    logging.getLogger("OpenGL").setLevel(logging.WARNING)  # PyOpenGL logs its own installation
+    logging.getLogger("OpenGL").setLevel(logging.WARNING)  # hides details of the installation
     given = os.environ.get("MUJOCO_GL", "")
     candidates = _BACKENDS if platform.system() == "Linux" and not given else (given,)
     reasons = []
@@ -50,7 +50,7 @@ def ensure_gl() -> str:
         platform_before = os.environ.get(_PLATFORM_VARIABLE)
         try:
             try_backend(name)
-        except Exception as error:  # a missing or broken library raises errors of many types
+        except Exception as error:  # Missing or broken libraries raise errors of many types.
             reasons.append(f"{name or 'default'}: {' '.join(str(error).split())}")
             log.debug("MUJOCO_GL=%s does not work", name, exc_info=True)
             _forget_backend(platform_before)
@@ -62,11 +62,11 @@ def ensure_gl() -> str:
 
 
 def try_backend(name: str) -> None:
-    """Choose a library and draw a picture with it; the library's errors are raised."""
+    """Choose an OpenGL library, draw a picture with it, and pass on all errors of the library."""
     from mujoco.rendering.classic import gl_context
 
     if name:
-        os.environ["MUJOCO_GL"] = name  # MuJoCo's C code reads it, too
+        os.environ["MUJOCO_GL"] = name  # MuJoCo's C code also reads this variable.
         importlib.reload(gl_context)
     renderer = mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8)
     renderer.render()
@@ -74,7 +74,7 @@ def try_backend(name: str) -> None:
 
 
 def _forget_backend(platform_before: str | None) -> None:
-    """Undo the import of a library, because PyOpenGL's modules are bound to one library."""
+    """Remove PyOpenGL's imported modules, because they are bound to one OpenGL library."""
     for module in list(sys.modules):
         if any(module == name or module.startswith(f"{name}.") for name in GL_MODULES):
             del sys.modules[module]

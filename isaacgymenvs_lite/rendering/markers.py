@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 Point = tuple[float, float, float]
-"""A position in the world frame (m)."""
+"""A position (m) in the world frame."""
 Colour = tuple[float, float, float]
-"""Red, green and blue, 0 to 1."""
+"""Red, green and blue components from 0 to 1."""
 
 # This colour differs from the grey ground and the blue sky of the humanoids' scenes.
 GO_COLOUR: Colour = (0.9, 0.15, 0.1)
@@ -47,7 +47,7 @@ Marker = Arrow | Sphere
 def arrow_on_ground(
     xy_w: tuple[float, float], direction: tuple[float, float], colour: Colour
 ) -> Arrow:
-    """Return an arrow just above the ground next to a character; its direction is a unit vector."""
+    """Return an arrow just above the ground next to a character; `direction` has length 1."""
     (x, y), (dx, dy) = xy_w, direction
     near, far, height = 0.3, 1.0, 0.03
     return Arrow(
@@ -77,9 +77,10 @@ def add_geom(
     place_w: npt.NDArray[np.float64] | None = None,
     colour: Colour = (1.0, 1.0, 1.0),
 ) -> mujoco.MjvGeom:
-    """Add a shape of a type of `mujoco.mjtGeom` to a scene that is not full, and return it.
+    """Add a shape to a scene that is not full, and return the shape.
 
-    `size` (3,) m has the meaning of MuJoCo's geoms of this type; `place_w` (3,) m is the centre.
+    The type is a value of `mujoco.mjtGeom`. `size` (3,) m has the same meaning as the size of
+    MuJoCo's geoms of this type; `place_w` (3,) m is the centre.
     """
     geom = scene.geoms[scene.ngeom]
     size = np.zeros(3) if size is None else size

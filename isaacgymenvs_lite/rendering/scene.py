@@ -15,15 +15,16 @@ from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.markers import Marker, add_geom, add_markers
 from isaacgymenvs_lite.rendering.view import View, has_free_root
 
-# Half the side of the drawn piece of terrain, and the distance after which it is replaced.
+# Half the side of the drawn piece of terrain. When the camera has moved by the second distance, the
+# piece is replaced.
 _HALF_SIDE_M = 14.0
 _STEP_M = 4.0
-# Half the side of the square whose mean height is the height of the ground.
+# Half the side of the square over which the height of the ground is averaged.
 _GROUND_HALF_SIDE_M = 1.0
 
 
 class TerrainWindow:
-    """The piece of a model's height field around a place.
+    """A square piece of a model's height field around a position.
 
     `move` replaces the model's height field by the piece. A model without a height field does not
     change.
@@ -42,18 +43,18 @@ class TerrainWindow:
         self._place = model.geom_pos[self._geom].copy()
         # MuJoCo does not move a geom that shares its body's frame.
         model.geom_sameframe[self._geom] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
-        # distances (m) between the points along x and y
+        # Distances (m) between neighbouring points of the height field along x and y.
         self._cell = 2.0 * self._size[:2] / (np.array((columns, rows)) - 1)
 
     def height(self, xy: npt.NDArray[np.float64]) -> float:
-        """Return the mean height (m) of the ground around `xy` (2,); 0 without a height field."""
+        """Return the mean height (m) of the ground around `xy` (2,), or 0 on a plane."""
         if self._model.nhfield == 0:
             return 0.0
         (x0, x1), (y0, y1) = self._range(xy, _GROUND_HALF_SIDE_M)
         return float(self._place[2] + self._size[2] * self._heights[y0:y1, x0:x1].mean())
 
     def move(self, xy: npt.NDArray[np.float64]) -> bool:
-        """Move the drawn piece to `xy` (2,); return whether it changed."""
+        """Move the drawn piece to `xy` (2,); return whether the height field changed."""
         if self._model.nhfield == 0:
             return False
         if self._centre_xy is not None and np.abs(xy - self._centre_xy).max() < _STEP_M:
@@ -72,11 +73,11 @@ class TerrainWindow:
     def _range(
         self, xy: npt.NDArray[np.float64], half_side_m: float
     ) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Return columns and rows as (first, end) within `half_side_m` of `xy`."""
+        """Return the ranges (first, end) of columns and rows within `half_side_m` of `xy`."""
         at = (np.asarray(xy) - self._place[:2] + self._size[:2]) / self._cell
         reach = half_side_m / self._cell
         ends = np.array(self._heights.shape[::-1])
-        # A robot that has left the terrain still needs two cells.
+        # If the robot has left the terrain, the ranges still contain two cells.
         low = np.clip(np.floor(at - reach), 0, ends - 2).astype(int)
         high = np.clip(np.ceil(at + reach) + 1, low + 2, ends).astype(int)
         return (int(low[0]), int(high[0])), (int(low[1]), int(high[1]))
@@ -85,30 +86,32 @@ class TerrainWindow:
 Image = npt.NDArray[np.uint8]
 """(height, width, 3), RGB."""
 Track = npt.NDArray[np.float64]
-"""(T, nq) MuJoCo's qpos of one figure at T times."""
+"""(T, nq), MuJoCo's qpos of one robot at T times."""
 
-# MuJoCo derives the clipping planes from the size of the model. The size of a terrain would clip
-# the robot, so the size is limited to this multiple of the camera's distance.
+# Largest size of a model as a multiple of the camera's distance. MuJoCo derives the clipping planes
+# from the model's size; with the size of a terrain they would clip the robot.
 _MAX_EXTENT = 0.7
-# Half the width of the area with shadows, as a multiple of the camera's distance. MuJoCo's default,
-# the size of the model, would end within the picture, as noise on the floor.
+# Half the width of the area with shadows, as a multiple of the camera's distance. With MuJoCo's
+# default, the size of the model, the border of the area is visible as noise on the floor.
 _SHADOW_HALF_WIDTH = 4.2
 # Height of the light above the camera's target, as a multiple of the camera's distance.
 _LIGHT_ABOVE = 0.45
-# Texels of the shadow map, samples of a pixel, faces around and along a sphere. The model's 4096
-# and MuJoCo's 4, 28 and 16 would take most of the time of rendering in software.
+# Width of the shadow map in texels, samples per pixel, faces around a sphere, and faces along a
+# sphere. The default values (4096, 4, 28 and 16) would take most of the time of rendering in
+# software.
 _FAST_SHADOW_SIZE, _FAST_SAMPLES, _FAST_FACES = 1024, 0, (16, 8)
 _FLOOR_STEP_M = 10.0
-# Left edge and base line of a label in pixels from the left and from the top. They are constant,
-# because the size of the letters does not depend on the size of the picture.
+# Distances in pixels of a label's left edge from the left and of its base line from the top. They
+# are constant, because the letters have the same size in all pictures.
 _LABEL_LEFT, _LABEL_BASE = 10, 26
 
 
 class SceneRenderer:
     """Draws one model, which does not change; the camera follows a free root body.
 
-    Use it in a `with` statement. The default view shows all of a model that is fixed to the world.
-    `fast` leaves out smooth edges and reflections, for videos that are rendered in software.
+    Use this class in a `with` statement. By default, a model that is fixed to the world is
+    completely visible. `fast` leaves out smooth edges and reflections, for videos that are rendered
+    in software.
 
     Raises:
         RenderingError: no OpenGL library works without a screen.
@@ -131,7 +134,7 @@ class SceneRenderer:
             view = View() if has_free_root(model) else View.of_model(model)
         self._view = view
         self._ground = TerrainWindow(model)
-        self._ground.move(np.zeros(2))  # rendering the whole terrain is slow
+        self._ground.move(np.zeros(2))  # A piece of the terrain is faster than the whole terrain.
         self._camera = mujoco.MjvCamera()
         self._camera.azimuth, self._camera.elevation = view.azimuth_deg, view.elevation_deg
         self._camera.distance = view.distance_m
@@ -155,16 +158,16 @@ class SceneRenderer:
     ) -> Image:
         """Return a picture of the model in the pose `qpos` (nq,), with a label and markers.
 
-        The camera looks at the root of the pose `look_at`, by default `qpos`.
+        The camera looks at the root of the pose `look_at`, which is `qpos` by default.
         """
         self._data.qpos[:] = qpos
         self._aim(np.asarray(qpos if look_at is None else look_at)[:3])
-        # A picture needs only the poses of mj_forward.
+        # A picture needs body poses, but not the other results of mj_forward.
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        # The shadow map is centred at the light, which must therefore be above the camera's target.
-        # It starts at the height of the light; a low light avoids speckles on distant floor.
+        # The light must be above the camera's target, because the shadow map is centred at the
+        # light. The light is low, because a high light makes speckles on the distant floor.
         self._data.light_xpos[:, :2] += self._camera.lookat[:2]
         self._data.light_xpos[:, 2] = self._camera.lookat[2] + _LIGHT_ABOVE * self._camera.distance
         mujoco.mj_tendon(self._model, self._data)
@@ -181,7 +184,7 @@ class SceneRenderer:
         return self._renderer.render()
 
     def _aim(self, root: npt.NDArray[np.float64]) -> None:
-        """Point the camera at a root (3,) m, and move the drawn piece of terrain there."""
+        """Point the camera at a root position (3,) m; move the drawn piece of terrain below it."""
         view, lookat = self._view, self._camera.lookat
         if not view.moves_about:
             lookat[:] = (*view.centre_xy_m, view.look_at_height_m)
@@ -192,13 +195,13 @@ class SceneRenderer:
         lookat[:] = (*root[:2], below + view.look_at_height_m)
 
     def _upload_ground(self) -> None:
-        # MuJoCo's Renderer has no public method for this.
+        # MuJoCo's Renderer has no public method that uploads a height field.
         renderer: Any = self._renderer
         renderer._gl_context.make_current()
         mujoco.mjr_uploadHField(self._model, renderer._mjr_context, 0)
 
     def _add_label(self, text: str) -> None:
-        """Write into the upper left corner, in the plane through the camera's target."""
+        """Add a label in the upper left corner, in the plane through the camera's target."""
         camera = self._camera
         azimuth, elevation = np.deg2rad(camera.azimuth), np.deg2rad(camera.elevation)
         to_the_right = np.array((np.sin(azimuth), -np.cos(azimuth), 0.0))
@@ -211,7 +214,7 @@ class SceneRenderer:
         add_geom(self._renderer.scene, mujoco.mjtGeom.mjGEOM_LABEL, place_w=corner).label = text
 
     def close(self) -> None:
-        """Free the renderer; a second call does nothing."""
+        """Release the renderer; a second call does nothing."""
         self._renderer.close()
 
     def __enter__(self) -> SceneRenderer:

@@ -1,4 +1,4 @@
-"""Records motion as tracks of MuJoCo's qpos, and draws pictures of the current state.
+"""Records motion as tracks (MuJoCo's qpos over time), and draws pictures of the current state.
 
     recorder = PoseRecorder(env, num_steps=150)
     ...                                             # recorder.step() after each env.step
@@ -41,7 +41,7 @@ class TrackMaker:
     ) -> Track:
         """Return the track of root states (T, 7 or more), DOFs (T, D), object states (T, K, 13).
 
-        Objects without states keep their places in the model.
+        Objects without states keep the positions that the model file gives them.
         """
         roots = torch.zeros(len(dof_pos), 13)
         roots[:, :_ROOT] = root_states[:, :_ROOT]
@@ -67,7 +67,7 @@ class PoseRecorder:
         self._states: list[tuple[Tensor, Tensor, Tensor]] = []
 
     def step(self) -> None:
-        """Record the current state after `env.step` and before resets."""
+        """Record the current state; call this method after `env.step` and before resets."""
         if len(self._states) < self._num_steps:
             simulation = self._simulation
             state = (simulation.root_states, simulation.dof_pos, simulation.object_states)
@@ -76,19 +76,19 @@ class PoseRecorder:
             self._markers.append(tuple(self._markers_of(env_id) for env_id in self._ids.tolist()))
 
     def tracks(self) -> list[Track]:
-        """Return a track of the recorded steps for each environment; [] before the first step."""
+        """Return a track for each environment, or [] if no step has been recorded."""
         if not self._states:
             return []
         columns = [torch.stack(column, dim=1) for column in zip(*self._states, strict=True)]
         return [self._maker.track(*states) for states in zip(*columns, strict=True)]
 
     def markers(self) -> list[tuple[tuple[Marker, ...], ...]]:
-        """Return the markers of each step and environment."""
+        """Return the markers of each environment at each recorded step."""
         return list(self._markers)
 
 
 def markers_of(env: Any) -> Callable[[int], tuple[Marker, ...]]:
-    """Return a function that returns the markers of an environment."""
+    """Return a function from the index of an environment to its markers."""
     return getattr(env, "markers", lambda env_id: ())
 
 
@@ -100,14 +100,14 @@ class PoseReader:
         self._maker = TrackMaker(env.simulation.model)
 
     def __call__(self, env_id: int) -> npt.NDArray[np.float64]:
-        """Return qpos (nq,) of an environment, including objects."""
+        """Return qpos (nq,) of an environment, which includes the objects."""
         simulation = self._simulation
         states = (simulation.root_states, simulation.dof_pos, simulation.object_states)
         return self._maker.track(*(of_all[env_id : env_id + 1] for of_all in states))[0]
 
 
 class TaskCamera:
-    """Draws the current state of a task's environments; the first picture loads OpenGL."""
+    """Draws the current state of a task's environments; OpenGL is loaded at the first picture."""
 
     def __init__(self, task: Any, width: int = 320, height: int = 240) -> None:
         self._task = task
@@ -127,7 +127,7 @@ class TaskCamera:
         return [self._renderer.draw(track[0], markers=beside) for track, beside in tracks]
 
     def close(self) -> None:
-        """Free the renderer; a second call does nothing."""
+        """Release the renderer; a second call does nothing."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None

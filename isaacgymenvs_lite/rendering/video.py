@@ -25,14 +25,14 @@ from isaacgymenvs_lite.utils.optional_packages import import_package, require
 PANEL_WIDTH, PANEL_HEIGHT = 320, 480
 """Size of a track's panel in pixels."""
 
-# Maps each suffix to the encoder, its options and the container's options. H.264 looks like the
-# original at crf 20. Animated WebP is for pages without videos, such as a README.
+# Maps each suffix to the encoder, the encoder's options and the container's options. With crf 20,
+# H.264 looks like the original. Animated WebP is for pages that cannot show videos, like a README.
 _FORMATS: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
     ".mp4": ("libx264", {"crf": "20", "preset": "veryfast"}, {"movflags": "+faststart"}),
     ".webp": ("libwebp_anim", {"quality": "60"}, {"loop": "0"}),
 }
 _ENCODER, _PURPOSE = "av", "writing videos"
-_PIXEL_FORMAT = "yuv420p"  # every player and browser shows this format
+_PIXEL_FORMAT = "yuv420p"  # All players and browsers support this format.
 
 
 def check_encoder() -> None:
@@ -60,8 +60,8 @@ def draw_tracks(
     """Draw tracks (T, nq) in panels with their own cameras, until the shortest track ends.
 
     The generator yields a picture (rows * height, columns * width, 3) for each time; unused panels
-    are black. `markers` are drawn at each time in each panel. Without `follow` the cameras stay at
-    the robots' first places.
+    are black. `markers` has the markers of each time and panel. If `follow` is False, each camera
+    stays at its robot's first position.
     """
     labels = labels or [""] * len(tracks)
     columns = columns or len(tracks)
@@ -84,8 +84,8 @@ def draw_tracks(
 def save_video(path: str | Path, images: Iterable[Image], fps: float) -> Path:
     """Write pictures (height, width, 3) as .mp4 or .webp; return the path.
 
-    All pictures have the same size, with even height and width. Without pictures no file is
-    written.
+    All pictures must have the same even height and the same even width. If there are no pictures,
+    no file is written.
     """
     path = Path(path)
     if path.suffix not in _FORMATS:
@@ -105,7 +105,7 @@ def save_video(path: str | Path, images: Iterable[Image], fps: float) -> Path:
                 frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
                 container.mux(stream.encode(frame))
             if is_written:
-                container.mux(stream.encode(None))  # the remaining packets
+                container.mux(stream.encode(None))  # writes the remaining packets
     except OSError as error:
         is_written = False
         raise ConfigError(

@@ -10,17 +10,17 @@ import numpy.typing as npt
 
 Points = npt.NDArray[np.float64]
 
-# Distances as multiples of half the model's diagonal: a moving robot with space around it, and a
-# fixed robot as a whole.
+# Distances of the camera, as multiples of half the model's diagonal, from a moving robot and from a
+# fixed robot.
 _ROOM, _WHOLE = 2.6, 2.1
-_MARGIN = 1.4  # the near side is closer to the camera than the root
+_MARGIN = 1.4  # for parts of the robot that are closer to the camera than the root
 _MIN_DISTANCE_M = 1.6
-# A robot flies if it is this high above the ground in its default pose.
+# Least height (m) above the ground, in the default pose, at which a robot is a flying robot.
 _FLIES_M = 0.3
 _ELEVATION_DEG = -12.0
-# Pictures on rough ground show steps and slopes around the robot.
+# Elevation and least distance of the camera on rough ground, so that steps and slopes are visible.
 _TERRAIN_ELEVATION_DEG, _TERRAIN_DISTANCE_M = -20.0, 3.0
-# Floors do not belong to the size of a model.
+# Types of geoms that are floors and do not count in the size of a model.
 _GROUNDS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 
 
@@ -28,7 +28,7 @@ _GROUNDS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 class View:
     """A camera; the defaults show a humanoid from its right side."""
 
-    azimuth_deg: float = 90.0  # direction in which the camera looks: 90 along +y, 180 along -x
+    azimuth_deg: float = 90.0  # direction in which the camera looks, 90 along +y, 180 along -x
     elevation_deg: float = -4.0  # negative values look down
     distance_m: float = 2.5  # distance from the camera to its target
     # Height of the target above the ground, above the root of a flying robot, or above the origin
@@ -43,7 +43,8 @@ class View:
     def of_model(cls, model: mujoco.MjModel, aspect: float = 4 / 3) -> View:
         """Return a view of a model in its default pose, for pictures of this aspect ratio.
 
-        A robot with a free root is seen from its right side, another model across its longer side.
+        The view shows a robot with a free root from the right, and any other model from the side
+        where it looks longest.
         """
         moves_about = has_free_root(model)
         low, high = _bounds(model, moves_about)
@@ -57,7 +58,7 @@ class View:
         terrain = model.nhfield > 0
         flies = not terrain and float(low[2]) > _FLIES_M
         nearest_m = _TERRAIN_DISTANCE_M if terrain else _MIN_DISTANCE_M
-        # The length of the robot decides the distance in a narrow picture.
+        # In a narrow picture the robot's length determines the distance of the camera.
         half_angle = np.deg2rad(float(model.vis.global_.fovy) / 2)
         from_root = np.abs(np.array((low, high))[:, :2] - model.qpos0[:2])
         half_length = float(from_root.max())
@@ -71,7 +72,7 @@ class View:
 
 
 def aim_camera(camera: mujoco.MjvCamera, model: mujoco.MjModel) -> None:
-    """Set a viewer's camera to the view of a model, so that it follows a robot."""
+    """Set a viewer's camera to the view of a model, so that the camera follows a robot."""
     view = View.of_model(model)
     camera.azimuth, camera.elevation = view.azimuth_deg, view.elevation_deg
     camera.distance = view.distance_m
@@ -90,7 +91,7 @@ def has_free_root(model: mujoco.MjModel) -> bool:
 def _bounds(model: mujoco.MjModel, moves_about: bool) -> tuple[Points, Points]:
     """Return the smallest and largest coordinates (3,) m of a model's shapes in its default pose.
 
-    Only the first body's tree counts in a model that moves about.
+    If `moves_about` is True, only shapes of the first body and its descendants count.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

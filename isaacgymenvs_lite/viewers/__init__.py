@@ -1,1 +1,1 @@
-"""Shows a training or a play in videos, in a window, or on a page in a browser."""
+"""Shows a task, during a training or while a policy plays, in videos, a window or a browser."""

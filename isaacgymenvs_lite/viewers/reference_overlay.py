@@ -1,7 +1,7 @@
 """Shows the reference motion of an imitation task as a track or as a translucent robot.
 
-(track,) = recorder.tracks()                    # recorded by a `PoseRecorder`
-reference = reference_track(env, track)         # the clip at the same phase
+(track,) = recorder.tracks()                    # `recorder` is a `PoseRecorder`
+reference = reference_track(env, track)         # the clip with the phase of `track`
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from isaacgymenvs_lite.rendering.tracks import TrackMaker
 Pose = npt.NDArray[np.float64]
 
 # Number of control steps that identify the phase of a motion. A single pose may occur twice in a
-# clip, on the way up and on the way down.
+# clip, for example in an upward and in a downward motion.
 _PHASE_STEPS = 6
 # Horizontal offset (m) of the reference from the character in the world frame. From the right side
 # of a character that walks along x, the reference is behind the character.
@@ -32,8 +32,8 @@ _OFFSET_M = (0.0, 1.0)
 def reference_track(env: Any, like: Track) -> Track:
     """Return the reference clip of a task, with the length and phase of the track `like` (T, nq).
 
-    Clip and phase are chosen by the nearest joint positions to the first steps of `like`. The clip
-    repeats from the place that its root has reached.
+    The clip and the phase are those whose joint positions are nearest to the first steps of `like`.
+    The clip repeats; a repetition starts where the root was at the end of the previous repetition.
     """
     clips = ReferenceClips(env)
     motion_id, first = clips.phase(like)
@@ -47,7 +47,7 @@ class ReferenceClips:
         self._motion_lib: MotionLib = env.motion_lib
         self._dt_s = float(env.dt)
         self._maker = TrackMaker(env.simulation.model)
-        # The poses of each clip without the root, at every control step.
+        # Joint positions of each clip at every control step.
         self._joints: list[Track] = []
         for motion_id in range(env.motion_lib.num_motions()):
             length_s = float(self._motion_lib.get_motion_length([motion_id]))
@@ -55,7 +55,7 @@ class ReferenceClips:
             self._joints.append(self.track(motion_id, frames)[:, self._maker.root_size :])
 
     def phase(self, like: Track) -> tuple[int, int]:
-        """Return the clip and its control step that are nearest to the first steps of `like`."""
+        """Return the clip and the control step that best match the first steps of `like`."""
         start = like[:_PHASE_STEPS, self._maker.root_size :]
         best = (math.inf, 0, 0)
         for motion_id, joints in enumerate(self._joints):
@@ -66,15 +66,16 @@ class ReferenceClips:
         return best[1:]
 
     def track(self, motion_id: int, steps: range) -> Track:
-        """Return the poses of a repeated clip at control steps."""
+        """Return the poses of a repeated clip at the given control steps."""
         length_s = float(self._motion_lib.get_motion_length([motion_id]))
         times_s = self._dt_s * torch.tensor(steps, dtype=torch.float64)
-        # The last two times are start and end of the clip; a repetition moves by their difference.
+        # The last two times are the start and the end of the clip. From one repetition to the next
+        # the root is displaced by the difference of its positions at these two times.
         in_clip_s = torch.cat((times_s % length_s, torch.tensor([0.0, length_s])))
         motion_ids = torch.full((len(in_clip_s),), motion_id)
         state = self._motion_lib.get_motion_state(motion_ids, in_clip_s)
         displacement_m = (state.root_pos[-1] - state.root_pos[-2]).cpu()
-        displacement_m[2] = 0.0  # repetitions do not climb
+        displacement_m[2] = 0.0  # The height must not accumulate over repetitions.
         repetitions = torch.floor(times_s / length_s).unsqueeze(-1)
         root_pos = state.root_pos[:-2].cpu() + repetitions * displacement_m
         roots = torch.cat((root_pos, state.root_rot[:-2].cpu()), dim=-1)
@@ -95,7 +96,7 @@ class ReferenceOverlay:
 
     @classmethod
     def for_task(cls, env: Any, model: mujoco.MjModel) -> ReferenceOverlay | None:
-        """Return the overlay; None for a task without reference motions."""
+        """Return the overlay of a task, or None if the task has no reference motions."""
         return cls(env, model) if hasattr(env, "motion_lib") else None
 
     def add_to(self, scene: mujoco.MjvScene, qpos: Pose) -> None:
@@ -105,16 +106,16 @@ class ReferenceOverlay:
     def pose(self, qpos: Pose) -> Pose:
         """Return the reference's pose (nq,) next to a character in the pose `qpos`.
 
-        Call it once per control step, or less often.
+        Call this method at most once per control step.
         """
         step = int(self._env.progress_buf[0])
         passed = step - self._last_step
-        if passed < 0 or not self._first_poses:  # another episode
+        if passed < 0 or not self._first_poses:  # A new episode has started.
             self._first_poses.clear()
             self._steps = passed = 0
         self._last_step = step
         self._steps += passed
-        # The poses so far are consecutive if no step was left out.
+        # The stored poses are consecutive only if this method was called in every control step.
         if self._steps == len(self._first_poses) < _PHASE_STEPS:
             self._first_poses.append(qpos)
             self._phase = self._clips.phase(np.stack(self._first_poses))

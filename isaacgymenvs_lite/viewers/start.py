@@ -1,4 +1,4 @@
-"""Checks and starts the videos, the window and the page of a session."""
+"""Checks and starts the viewers (videos, window and page) of a training or of a played policy."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Viewers:
 
     Raises:
         RenderingError: this machine cannot draw.
-        ConfigError: a package is missing, there is no display, or a port is taken.
+        ConfigError: a package or a display is missing, or another program uses the port.
     """
 
     def __init__(self, settings: LaunchSettings) -> None:
@@ -48,11 +48,12 @@ class Viewers:
         Args:
             env: the task.
             run_folder: folder whose subfolder `videos/` receives the videos.
-            on_quit: is called in the task's thread when the window is closed.
+            on_quit: function that is called in the task's thread when the window is closed.
             prefix: prefix of the videos' names.
 
         Raises:
-            ConfigError: the folder of videos cannot be written or has links, or a port is taken.
+            ConfigError: the folder of videos contains links or cannot be written, or another
+                program uses the port.
         """
         settings, folder = self._settings, run_folder / "videos"
         self._env = env
@@ -79,7 +80,7 @@ class Viewers:
             every_step = settings.force_render
             self._add(Window(env, folder, on_quit, every_step=every_step, keys_to_task=plays))
         if settings.viewer == "web":
-            # A play runs in real time, because it would be over too soon otherwise.
+            # A played policy runs in real time, because its episodes are only a few seconds long.
             self._add(WebPage(env, settings.viewer_port, real_time=plays, keys_to_task=plays))
         watched = not settings.headless or settings.viewer == "web"
         if plays and watched and (help_line := getattr(env, "key_help", "")):
@@ -90,7 +91,7 @@ class Viewers:
         self._env.listeners.append(listener)
 
     def close(self) -> None:
-        """Finish videos, close window and page; a second call does nothing."""
+        """Write the videos, then close the window and the page; a second call does nothing."""
         listeners, self._listeners = self._listeners, []
         for listener in listeners:
             self._env.listeners.remove(listener)

@@ -1,7 +1,7 @@
 """Draws and encodes videos of a task in a thread, so that the task does not wait.
 
-Recording copies only some dozens of values per step; drawing and encoding take a hundred times as
-long.
+Recording copies only some dozens of values per step. Drawing and encoding a step take a hundred
+times as long as recording it.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from isaacgymenvs_lite.rendering.view import View
 log = logging.getLogger(__name__)
 
 SINGLE_SIZE, TILE_SIZE = (640, 480), (320, 240)
-"""Size in pixels of a picture of one environment, and of each picture of several."""
-# Largest number of waiting jobs, whose poses are in memory.
+"""Size in pixels of a video of one environment, and of each tile of several environments."""
+# Largest number of waiting videos; their poses take memory.
 _MAX_WAITING = 8
 
 
@@ -34,12 +34,12 @@ class VideoJob(NamedTuple):
     """The content of a video.
 
     Attributes:
-        path: path of the .mp4 file; if it exists, the new file's name gets a number.
+        path: path of the .mp4 file. If the file exists, a number is added to the new file's name.
         model: model of the robots.
         dt_s: time between pictures in s.
-        tracks: (T, nq) for each robot.
-        markers: markers for each time and track.
-        follow: whether the camera follows the robot.
+        tracks: a track (T, nq) for each robot.
+        markers: markers at each time for each track.
+        follow: whether each camera follows its robot.
     """
 
     path: Path
@@ -53,8 +53,8 @@ class VideoJob(NamedTuple):
 class VideoWriter:
     """Writes videos one after the other, in a thread that starts with the first video.
 
-    The log reports a video that cannot be written, and the training goes on. The thread calls
-    `on_done` with the path of each video.
+    If a video cannot be written, the log reports the error and the training continues. The thread
+    calls `on_done` with the path of each video.
     """
 
     def __init__(self, on_done: Callable[[Path], None] | None = None) -> None:
@@ -64,9 +64,9 @@ class VideoWriter:
         self._left_out = 0
 
     def make(self, env: Any, recorder: PoseRecorder, path: Path) -> None:
-        """Queue a recording of a task; it is dropped if too many jobs are waiting.
+        """Queue a recording of a task, or drop the recording if too many videos are waiting.
 
-        `task.env.cameraFollow: False` fixes the camera.
+        The camera does not move if `task.env.cameraFollow` is False.
         """
         if self._waiting.qsize() >= _MAX_WAITING:
             self._left_out += 1
@@ -110,7 +110,7 @@ class VideoWriter:
 
 
 def write_video(job: VideoJob) -> Path:
-    """Draw and encode a job; return its path."""
+    """Draw and encode a video; return the path of the written file."""
     count = len(job.tracks)
     width, height = SINGLE_SIZE if count == 1 else TILE_SIZE
     images = draw_tracks(
@@ -134,7 +134,7 @@ def make_video_folder(folder: Path) -> None:
     """Make a folder for videos.
 
     Raises:
-        ConfigError: files cannot be written into it.
+        ConfigError: files cannot be written into the folder.
     """
     trial = folder / ".trial"
     try:
@@ -154,12 +154,12 @@ class VideoCapture:
 
     Args:
         env: the task.
-        video_writer: draws the recordings.
+        video_writer: draws and encodes the recordings.
         folder: existing folder for the files.
-        every: control steps between the starts of two recordings.
-        length: control steps of a recording.
-        num_envs: number of environments to show, in tiles.
-        prefix: beginning of the names `<prefix>-step-<control steps before>.mp4`.
+        every: number of control steps from the start of a recording to the start of the next.
+        length: number of control steps in a recording.
+        num_envs: number of environments, which a video shows in tiles.
+        prefix: prefix of the names `<prefix>-step-<control steps before the recording>.mp4`.
     """
 
     def __init__(
@@ -185,7 +185,7 @@ class VideoCapture:
         self._recorder: PoseRecorder | None = None
 
     def after_step(self) -> None:
-        """Record the step if it belongs to a recording."""
+        """Record the last control step if a recording runs or starts now."""
         if self._recorder is None and self._steps % self._every == 0:
             self._first_step = self._steps
             self._recorder = PoseRecorder(self._env, self._length, self._env_ids)
@@ -196,7 +196,7 @@ class VideoCapture:
                 self._finish()
 
     def render(self) -> None:
-        """Do nothing, because recordings do not depend on `render`."""
+        """Do nothing, because `after_step` records the steps."""
 
     def close(self) -> None:
         """End the current recording, and wait until all videos are written."""

@@ -1,7 +1,8 @@
 """Shows a task in a browser by MuJoCo's web viewer, on a port of localhost.
 
-The viewer has native code and threads, so it runs in its own process (`web_server`), whose faults
-cannot end a training. The task sends its state up to 30 times a second and never waits.
+The viewer has native code and threads. Therefore it runs in a separate process (`web_server`), so
+that its crash does not end a training. The task sends its state up to 30 times a second and never
+waits for the viewer.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from isaacgymenvs_lite.viewers.window import press_key
 
 log = logging.getLogger(__name__)
 
-# Largest number of states per second.
+# Largest number of states that the page receives per second.
 _PICTURES_PER_S = 30.0
 _CLOSE_TIMEOUT_S = 3.0
 _MAX_KEY_BYTES = 16
@@ -42,16 +43,16 @@ _PROGRAM = "from isaacgymenvs_lite.viewers.web_server import main; main()"
 class WebPage:
     """Shows environment 0 of a task in browsers; a `StepListener`.
 
-    If the page's process ends, the task goes on without it.
+    If the page's process ends, the task continues without the page.
 
     Args:
         env: the task; the page also shows the reference of an imitation task.
         port: port number; 0 means any free port.
-        real_time: whether the task waits, so that it is not faster than the simulated time.
+        real_time: whether the task waits after each step, so that it runs at most in real time.
         keys_to_task: whether the task's `on_key` receives the keys that are pressed on the page.
 
     Raises:
-        ConfigError: the port is taken, or the viewer is not installed.
+        ConfigError: another program uses the port, or the viewer is not installed.
     """
 
     def __init__(self, env: Any, port: int, *, real_time: bool, keys_to_task: bool = True) -> None:
@@ -67,7 +68,7 @@ class WebPage:
         self._markers_of = markers_of(env)
         self._pace_s = env.simulation.dt if real_time else 0.0
         self._next_step_s = self._next_picture_s = time.monotonic()
-        # A message is one packet, which is sent completely or not at all.
+        # The socket sends a packet completely or not at all; each message is one packet.
         self._link, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._link.setblocking(False)
         with there, _listen(port) as listener:
@@ -79,11 +80,11 @@ class WebPage:
 
     @property
     def keeps_playing(self) -> bool:
-        """Whether the page is served; browsers may come and go."""
+        """Whether the page's process runs, with or without connected browsers."""
         return self._is_open and self.process.poll() is None
 
     def after_step(self) -> None:
-        """Pass on keys, and show the new state unless the last one is too recent."""
+        """Pass keys to the task, and send the new state unless one was sent just before."""
         self._read_keys()
         now = time.monotonic()
         if now >= self._next_picture_s:
@@ -97,7 +98,7 @@ class WebPage:
         for _ in range(_MAX_KEYS):
             try:
                 packet = self._link.recv(_MAX_KEY_BYTES)
-            except OSError:  # there is no key, or the other end is closed
+            except OSError:  # No key has arrived, or the page's process has closed the socket.
                 return
             if not packet:
                 return
@@ -105,7 +106,7 @@ class WebPage:
                 press_key(self._env, packet.decode("ascii", "replace"))
 
     def render(self) -> None:
-        """Show the current state, unless the page is busy with earlier states."""
+        """Send the current state, unless earlier states still wait in the socket."""
         if not self._is_open:
             return
         status = self.process.poll()
@@ -152,7 +153,7 @@ def check_page(port: int) -> None:
     """Check that the page can be served.
 
     Raises:
-        ConfigError: the port is taken, or the viewer is not installed.
+        ConfigError: another program uses the port, or the viewer is not installed.
     """
     if sys.platform != "linux":
         raise ConfigError(
@@ -182,7 +183,7 @@ def _listen(port: int) -> socket.socket:
 
 
 def _start(link: socket.socket, listener: socket.socket) -> subprocess.Popen[bytes]:
-    """Start the process of a page, which inherits both sockets."""
+    """Start the process that serves the page and inherits both sockets."""
     files = (link.fileno(), listener.fileno())
     # The new process has the import path of this process.
     folders = [str(Path(isaacgymenvs_lite.__file__).parents[1])]
@@ -194,5 +195,5 @@ def _start(link: socket.socket, listener: socket.socket) -> subprocess.Popen[byt
         env={**os.environ, "PYTHONPATH": os.pathsep.join(folders)},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
-        process_group=0,  # a terminal's Ctrl-C reaches only the task, which closes the page
+        process_group=0,  # Ctrl-C in a terminal must reach only the task, which closes the page.
     )

@@ -1,9 +1,9 @@
-"""Runs MuJoCo's web viewer in a process of its own, with the reference robot and markers.
+"""Runs MuJoCo's web viewer in a separate process, with the reference robot and markers.
 
 `web_page` starts this process with two sockets: the link to the task, and the socket to which
-browsers connect. MuJoCo's server would answer requests from all sites, so they are checked first.
-The Host must be localhost, which refuses sites whose name resolves to this machine (DNS rebinding).
-The Origin must be the page itself.
+browsers connect. MuJoCo's server answers requests from all sites, so that this module checks each
+request first. The header Host must be localhost, so that sites whose name resolves to this machine
+(DNS rebinding) are refused. The header Origin must be the page's address.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _MAX_PACKET_BYTES = 2**18
 _MAX_GEOMS = 200
 _MAX_MESSAGE_BYTES = 2**16
 _LOCAL_NAMES = ("localhost", "127.0.0.1")
-# Name of a model's custom numeric field with the colour of the page's sky.
+# Name of the custom numeric field in a model that contains the colour of the page's sky.
 _SKY_COLOUR = "filament.clear_color"
 KEYS = {
     **{f"{name.capitalize()}Arrow": name for name in ("up", "down", "left", "right")},
@@ -49,15 +49,15 @@ KEYS = {
 
 def main() -> None:
     """Serve a page until the task's process closes the link or ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the task decides what Ctrl-C ends
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # The task handles Ctrl-C and ends this process.
     parent, *files = map(int, sys.argv[1:])
     link, listener = (socket.socket(fileno=file) for file in files)
     server_log = logging.getLogger("WebServer")
     server_log.handlers.clear()
     server_log.setLevel(logging.WARNING)
-    # A browser that disconnects while it receives a state is not an error.
+    # The log should not report an error if a browser disconnects while it receives a state.
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
-    # MuJoCo's server has no parameters for its address and for checks.
+    # Two functions of MuJoCo's server are replaced, because it has no parameters for checks.
     web_server.bind_public_socket = lambda host, port: listener
     web_server.serve = serve_locally
     endpoint: Any = LinkEndpoint(link, parent)
@@ -67,7 +67,7 @@ def main() -> None:
     config = viewer_protocol.ViewerConfig(title="isaacgymenvs_lite", gfx="web")
     viewer = web_viewer.WebViewer(config, endpoint, model=model, plugins=[PagePlugin(link)])
     viewer_protocol.run_viewer_loop(viewer)
-    # A normal exit would free native threads and objects of the viewer in any order.
+    # A normal exit destroys the viewer's native threads and objects in an undefined order.
     os._exit(0)
 
 
@@ -78,7 +78,7 @@ async def serve_locally(
     process_response: Callable[[ServerConnection, Request, Response], Response | None],
     **options: Any,
 ) -> Server:
-    """Serve like `websockets.serve`, but only to pages of this machine."""
+    """Serve like `websockets.serve`, but only requests from pages of this machine."""
 
     def check(connection: ServerConnection, request: Request) -> Response | None:
         host = request.headers.get("Host", "")
@@ -116,7 +116,7 @@ class BesideSnapshot(messages.Snapshot):
 
 
 class LinkEndpoint:
-    """The viewer's `ViewerEndpoint`, which turns packets of the task into the viewer's messages.
+    """The viewer's `ViewerEndpoint`; it converts the task's packets to messages of the viewer.
 
     The socket may stay open after the task's process `parent` has exited, because forked children
     of the task may hold the peer socket. Therefore `parent` is checked as well.
@@ -128,14 +128,14 @@ class LinkEndpoint:
         self._states: list[messages.Snapshot] = []
 
     def wait_for_model(self) -> mujoco.MjModel | None:
-        """Return the first model, which the task sends first; None if the task has ended."""
+        """Wait for the task's first packet, a model; return the model, or None without a task."""
         self._link.setblocking(True)
         event = self._read_packet()
         self._link.setblocking(False)
         return event.model if isinstance(event, messages.ModelEvent) else None
 
     def get_sim_events(self) -> list[messages.Event]:
-        """Return a new model or the end of the task; the viewer calls this before each picture."""
+        """Return events (new model, end of the task); the viewer calls this before each picture."""
         events: list[messages.Event] = []
         if os.getppid() != self._parent:
             return [messages.ExitEvent()]
@@ -149,7 +149,7 @@ class LinkEndpoint:
         return events
 
     def _read_packet(self) -> messages.Event | None:
-        """Return a model or the end of the task, or store a state and return None.
+        """Return the event of a model or of the task's end; store a state and return None.
 
         Raises:
             BlockingIOError: no packet has arrived.
@@ -164,28 +164,28 @@ class LinkEndpoint:
             with os.fdopen(files[0], "rb") as file:
                 file.seek(0)
                 content = file.read()
-            self._states = []  # these states belong to the previous model
+            self._states = []  # The stored states belong to the previous model.
             model = mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": content})
             return messages.ModelEvent(model)
-        qpos, reference, markers = pickle.loads(packet)  # sent by the parent process, the task
+        qpos, reference, markers = pickle.loads(packet)  # The parent process, the task, is trusted.
         state = messages.StateSnapshot(qpos, int(mujoco.mjtState.mjSTATE_QPOS))
         self._states = [state, BesideSnapshot(reference, tuple(markers))]
         return None
 
     def get_sim_snapshots(self) -> list[messages.Snapshot]:
-        """Return each newest state once."""
+        """Return the newest state if it has arrived since the last call."""
         states, self._states = self._states, []
         return states
 
     def send_to_sim(self, message: messages.Message) -> None:
-        """Drop changes that a browser would make in the simulation."""
+        """Drop a browser's message, so that browsers cannot change the simulation."""
 
     def close(self) -> None:
-        """Do nothing, because the process ends next."""
+        """Do nothing, because the process ends after this call."""
 
 
 class PagePlugin(plugin.ViewerPlugin):
-    """Adds the reference robot and markers, aims the camera, and passes on keys."""
+    """Adds the reference robot and markers, aims the camera, and sends keys to the task."""
 
     def __init__(self, link: socket.socket) -> None:
         self._link = link
@@ -198,10 +198,10 @@ class PagePlugin(plugin.ViewerPlugin):
         viewer = event.viewer
         aim_camera(viewer.camera, viewer.model)
         flags = list(viewer.render_flags.flags)
-        # The reflected sky would make the floor look white.
+        # With the model's sky the floor, which reflects it, looks white.
         flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
         if mujoco.mj_name2id(viewer.model, mujoco.mjtObj.mjOBJ_NUMERIC, _SKY_COLOUR) >= 0:
-            flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0  # dark grey, whatever its texture
+            flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0  # The sky becomes dark grey.
         viewer.render_flags.flags = flags
 
     @messages.handler
@@ -231,9 +231,9 @@ class PagePlugin(plugin.ViewerPlugin):
     def send_keys(self, event: messages.UpdateEvent) -> None:
         """Send the keys that were pressed since the last picture."""
         for key, name in KEYS.items():
-            # Keys with Ctrl, and repetitions of a held key, are left out.
+            # Keys pressed together with Ctrl and repetitions of a held key are left out.
             if imgui.IsKeyChordPressed(imgui.Key.__members__[key]):
                 try:
                     self._link.send(name.encode())
-                except OSError:  # no room, or the task ended, which the endpoint reports
+                except OSError:  # The socket is full, or the task ended (the endpoint reports it).
                     return

@@ -1,4 +1,4 @@
-"""Shows environment 0 in a window: MuJoCo's passive viewer with Isaac Gym's keys."""
+"""Shows environment 0 in a window, MuJoCo's passive viewer with Isaac Gym's keys."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 KEY_NAMES = ("up", "down", "left", "right", "space", *string.ascii_lowercase, *string.digits)
 """Keys of a window or a page that `VecTask.on_key` can receive."""
-# Largest number of control steps of a recording, more than a minute of every task.
+# Largest number of control steps in a recording; they last more than a minute in every task.
 _MAX_RECORDED = 10_000
 _CLOSING_S = 5.0
 # GLFW's key codes are ASCII codes for digits and capital letters.
@@ -36,22 +36,23 @@ _NAMES = {265: "up", 264: "down", 263: "left", 262: "right", ord(" "): "space"} 
 
 
 def press_key(env: Any, name: str) -> None:
-    """Call a task's `on_key` between two steps, for the keys in `KEY_NAMES`."""
+    """Call a task's `on_key` if `KEY_NAMES` contains the key; call this between two steps."""
     if name in KEY_NAMES:
         env.on_key(name)
 
 
 class Keys:
-    """The state of Isaac Gym's viewer keys, passed from the window's thread to the task's thread.
+    """Passes keys from the window's thread to the task's thread; V, R and ESC have a state.
 
     Args:
-        env: a task whose `on_key` receives the other keys (`VecTask`).
-        to_task: whether the task receives other keys; a training must not depend on them.
+        env: the task (`VecTask`), whose `on_key` receives all keys except V, R and ESC.
+        to_task: whether `on_key` is called. It is False in a training, which must not depend on
+            keys.
 
     Attributes:
-        sync: V: whether the window shows each step, no faster than the simulated time.
-        recording: R: whether a video is being recorded.
-        quit: ESC: whether the end was requested.
+        sync: whether the window shows each step, at most in real time; the key V changes it.
+        recording: whether a video is being recorded; the key R changes it.
+        quit: whether the user has pressed ESC, which ends the program.
     """
 
     HELP = "V: show every step on / off, R: record on / off, ESC: quit"
@@ -64,11 +65,11 @@ class Keys:
         self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
 
     def press(self, key: int) -> None:
-        """Queue a key by GLFW's code; any thread may call this method."""
+        """Queue the key with the GLFW code `key`; any thread may call this method."""
         self._pressed.put(key)
 
     def update(self) -> None:
-        """Apply the keys that were pressed since the last call, between two steps."""
+        """Apply the keys pressed since the last call; call this method between two steps."""
         while not self._pressed.empty():
             key = self._pressed.get()
             if key == ord("V"):
@@ -82,7 +83,7 @@ class Keys:
 
 
 class WindowClosedError(Exception):
-    """Raised in a play whose window was closed, to end it."""
+    """Ends a program that plays a policy, after its window was closed."""
 
 
 class Window:
@@ -91,8 +92,9 @@ class Window:
     Args:
         env: the task; the window also shows the reference of an imitation task.
         folder: folder for the videos of the key R.
-        on_quit: is called in the task's thread after ESC or when the window is closed.
-        every_step: whether to show every step, or only the calls of `env.render()`.
+        on_quit: function that is called in the task's thread after ESC or a closed window.
+        every_step: whether the window shows every step. If it is False, the window changes only
+            when `env.render()` is called.
         keys_to_task: whether the task's `on_key` receives keys.
     """
 
@@ -106,7 +108,7 @@ class Window:
         keys_to_task: bool = True,
     ) -> None:
         check_display()
-        from mujoco import viewer  # needs GLFW
+        from mujoco import viewer  # This import needs GLFW.
 
         self.keys = Keys(env, keys_to_task)
         self._env = env
@@ -143,7 +145,7 @@ class Window:
         return not self._has_ended
 
     def after_step(self) -> None:
-        """Apply the keys; record and show the step if their state says so."""
+        """Apply the keys; record the step if R, and show the step if V is switched on."""
         self._steps += 1
         self.keys.update()
         if not self._has_ended and (self.keys.quit or not self._viewer.is_running()):
@@ -198,6 +200,6 @@ class Window:
         self._end_recording()
         self._video_writer.close()
         self._viewer.close()
-        # The process would crash if it ended while the window draws.
+        # A process that ends while the window draws crashes.
         for thread in self._threads:
             thread.join(_CLOSING_S)

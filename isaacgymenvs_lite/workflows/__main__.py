@@ -4,9 +4,9 @@
     isaacgymenvs-lite workflows sb3 play task=Ant
     python -m isaacgymenvs_lite.workflows.sb3.train --task Ant --num_envs 64
 
-A key belongs to the command, to the agent file (`agent.`) or to the task, where it means the same
-as for train.py. The option --help after `sb3 train` lists the keys. Options of Isaac Lab's scripts
-stand for keys.
+A key belongs to the command, to the agent file (prefix `agent.`) or to the task. A key of the task
+means the same as in train.py. The option --help after `sb3 train` lists the keys. The options of
+Isaac Lab's scripts can replace keys.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from isaacgymenvs_lite.workflows.training import (
 )
 
 VERBS = ("train", "play")
-# Keys of cfg/config.yaml that apply to another library's agent too.
+# Keys of cfg/config.yaml that also apply to agents of other libraries.
 _TASK_KEYS = {
     *("task", "seed", "num_envs", "torch_deterministic"),
     *("sim_device", "rl_device", "pipeline", "num_threads"),
@@ -48,7 +48,7 @@ _TASK_KEYS = {
     *("capture_video", "capture_video_freq", "capture_video_len", "capture_video_envs"),
     *("physics_engine", "solver_type", "num_subscenes", "graphics_device_id"),
 }
-# Maps Isaac Lab's options to the words that they stand for; {} is the option's value.
+# Maps Isaac Lab's options to the `key=value` arguments that replace them; {} is the option's value.
 _OPTIONS = {
     "task": "task={}",
     "num_envs": "num_envs={}",
@@ -69,10 +69,10 @@ _OPTIONS_OF = {
     },
     "play": {"use_last_checkpoint": f"checkpoint={LAST}", "real-time": "real_time=True"},
 }
-# Control steps between two videos of --video. A play is recorded once.
+# Control steps from one video of --video to the next in a training; `play` records one video.
 _VIDEO_EVERY = {"train": 2000, "play": 2**53}
-# These options of Isaac Lab have no effect: pictures need no switch, infos are always complete, and
-# there is no Kit.
+# Options of Isaac Lab without effect, because cameras need no switch, infos are always complete,
+# and Isaac Sim's Kit is not used.
 _IDLE_FLAGS = (
     *("enable_cameras", "keep_all_info", "disable_fabric", "export_io_descriptors"),
     *("verbose", "info"),
@@ -97,7 +97,7 @@ Settings = TypeVar("Settings", bound=CommandSettings)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the verb for the library that the command line names; return the exit code."""
+    """Train or play an agent as the command line says; return the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or {"-h", "--help"} & set(words[:2]):
         sys.stdout.write(f"libraries: {', '.join(LIBRARIES)}\n\n{__doc__}")
@@ -107,7 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given not in choices:
             sys.stderr.write(f"error: {unknown(what, given, choices)}\n")
             return EXIT_USER_ERROR
-    # rsl_rl imports GitPython, whose import fails if git is not installed.
+    # rsl_rl imports GitPython; this import fails if git is not installed.
     os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
     parser = make_parser(name, verb)
     args = parser.parse_intermixed_args(words[2:])
@@ -128,13 +128,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def read_command(
     settings: type[Settings], args: argparse.Namespace
 ) -> tuple[Settings, list[str], list[str]]:
-    """Divide `key=value` words among command, task and agent file; they override options.
+    """Divide `key=value` arguments among command, task and agent file; they override options.
 
     Returns:
-        The command's own keys, the words for the task, and the words for the agent file.
+        The command's keys, the task's arguments, and the agent file's arguments.
 
     Raises:
-        ConfigError: a key has no effect here, or a value cannot be used.
+        ConfigError: a key has no effect on another library's agent, or a value cannot be used.
     """
     known = keys_of(settings)
     own_words, task_words, agent_words = list[str](), list[str](), list[str]()
@@ -170,7 +170,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def make_parser(library: str, verb: str) -> argparse.ArgumentParser:
-    """Return a parser for the words of a command line and for Isaac Lab's options."""
+    """Return a parser of a command line's `key=value` arguments and Isaac Lab's options."""
     parser = _Parser(
         prog=f"isaacgymenvs-lite workflows {library} {verb}",
         usage="%(prog)s task=<name> [key=value ...]",
@@ -194,7 +194,7 @@ def make_parser(library: str, verb: str) -> argparse.ArgumentParser:
         add(f"--{name}", action="store_true", help=argparse.SUPPRESS)
     for name in _IDLE_VALUES:
         add(f"--{name}", help=argparse.SUPPRESS)
-    # skrl's scripts have these two options, of which only one value is supported.
+    # Isaac Lab's scripts for skrl have two options for which this command supports one value each.
     add("--ml_framework", choices=("torch",), help=argparse.SUPPRESS)
     add("--algorithm", type=str.upper, choices=("PPO",), help=argparse.SUPPRESS)
     return parser

@@ -1,9 +1,9 @@
 """Defines the interface of an RL library's agent, and reads agent files and checkpoints.
 
-An agent file, cfg/<library>/<Task>.yaml, contains arguments of the library's classes by section,
-and a few keys of the workflow. It cannot name code, because the workflow chooses the classes. Only
-tensors are read from checkpoints, unlike by the libraries' own `load` functions, which unpickle
-everything.
+An agent file, cfg/<library>/<Task>.yaml, has a section of arguments for each class of the library,
+and a few keys of the workflow. An agent file cannot name code, because the workflow chooses the
+classes. Only tensors are read from checkpoints, although the libraries' `load` functions unpickle
+all objects.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 PREFIX = "agent."
 """Prefix of the agent file's keys on the command line."""
 
-# Isaac Lab's scripts name a task's agent file sb3_cfg_entry_point.
+# Isaac Lab's scripts use names such as sb3_cfg_entry_point for a task's agent file.
 _ENTRY_POINT = "_cfg_entry_point"
 _ACTIVATIONS: dict[str, type[nn.Module]] = {
     "elu": nn.ELU,
@@ -45,11 +45,11 @@ _ACTIVATIONS: dict[str, type[nn.Module]] = {
 
 
 LIBRARIES = {"sb3": "stable_baselines3", "skrl": "skrl", "rsl_rl": "rsl_rl"}
-"""Maps the name of a library's folders in cfg/, logs/ and here to its package."""
+"""Maps each library's folder name (in cfg/, logs/ and workflows/) to the library's package."""
 
 
 class Agent(ABC):
-    """An agent of a library with its environment, made from task, agent file, device and seed."""
+    """A library's agent with its environment; made from task, agent file, device and seed."""
 
     env: Any
     """The library's environment with all wrappers."""
@@ -62,16 +62,16 @@ class Agent(ABC):
     def learn(self, folder: Path, log_interval: int | None) -> None:
         """Train, and write checkpoints and TensorBoard's files into `folder`.
 
-        A log entry is written every `log_interval` frames; None means the library's own interval.
+        A log entry is written every `log_interval` frames; None selects the library's default.
         """
 
     @abstractmethod
     def save(self, folder: Path) -> Path:
-        """Write a checkpoint below `folder`, named as in `learn`; return the file."""
+        """Write a checkpoint below `folder` with the name that `learn` uses; return the path."""
 
     @abstractmethod
     def load(self, checkpoint: Path) -> None:
-        """Load parameters and normalisers from a checkpoint, without running code from it."""
+        """Load parameters and normalisers from a checkpoint; run no code from the checkpoint."""
 
     @abstractmethod
     def policy(self) -> Callable[[Any], Any]:
@@ -80,10 +80,10 @@ class Agent(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class SeedSettings:
-    """The key of an agent file that is read before the agent is made."""
+    """The agent file's key `seed`, which is read before the agent is made."""
 
     seed: int = setting(42)
-    """Default of the command line's seed."""
+    """Seed, unless the command line contains a seed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +93,7 @@ class AgentSettings(SeedSettings):
     max_iterations: int = setting(minimum=1)
     """Number of rollouts; updates follow each rollout."""
     checkpoint_interval: int = setting(minimum=1)
-    """Iterations."""
+    """Number of iterations."""
 
 
 Settings = TypeVar("Settings", bound=AgentSettings)
@@ -106,10 +106,10 @@ def load_agent_file(
 
     Args:
         library: name of the library's folder in cfg/.
-        task: name of the task. Its file is read, or default.yaml if it has no file.
-        given: the path of another file, or its name in the folder; '' and Isaac Lab's
-            `sb3_cfg_entry_point` mean the task's file.
-        overrides: words such as `agent.key.below=value`; the agent checks the keys.
+        task: name of the task. The task's agent file is read, or default.yaml if it has none.
+        given: the path of another agent file, or its name in the folder; '' and Isaac Lab's
+            `sb3_cfg_entry_point` select the task's agent file.
+        overrides: arguments such as `agent.key.below=value`; the agent checks the keys.
     """
     folder = cfg_dir() / library
     if not given or given.endswith(_ENTRY_POINT):
@@ -148,15 +148,15 @@ def check_arguments(
     where: str,
     reserved: Iterable[str] = (),
 ) -> None:
-    """Check that a section contains arguments of a function, with the types of its defaults.
+    """Check that a section contains a function's arguments with the types of the defaults.
 
-    A whole number must be at least 1, or at least its default if the default is smaller.
+    An integer must be at least 1, or at least the default if the default is less than 1.
 
     Args:
         function: the function or class.
-        arguments: the section; a callable counts as a schedule of a number.
+        arguments: the section; a callable is accepted as a schedule in place of a float.
         where: path of the section, for example `agent.ppo`.
-        reserved: arguments that could name code or files.
+        reserved: forbidden arguments, which could name code or files.
     """
     parameters = inspect.signature(function).parameters
     names = set(parameters) - set(reserved)
@@ -180,7 +180,7 @@ def check_arguments(
 
 
 def activation_class(name: str) -> type[nn.Module]:
-    """Return the class of an activation.
+    """Return the class of the activation with a name.
 
     Raises:
         ConfigError: the name is unknown.
@@ -197,7 +197,7 @@ def loading(file: str | Path, library: str) -> Iterator[None]:
         yield
     except UserError:
         raise
-    except Exception as error:  # the readers raise many types of errors for damaged files
+    except Exception as error:  # Damaged files raise errors of many types.
         fits = isinstance(error, (KeyError, OSError, RuntimeError, TypeError, ValueError))
         reason = one_line(error)[:160] if fits else "damaged, or with more than tensors in it"
         raise CheckpointError(

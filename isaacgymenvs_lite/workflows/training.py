@@ -1,4 +1,4 @@
-"""Trains and plays an agent of any library, which implements `library.Agent`."""
+"""Trains and plays an agent of any library; the agent must implement `library.Agent`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 log = logging.getLogger(__name__)
 
 LAST = "last"
-"""`checkpoint=last` means the newest checkpoint of the task's trainings."""
+"""Value of `checkpoint` that selects the newest checkpoint of the task's trainings."""
 _AGENT_FILE = "params/agent.yaml"
 _CHECKPOINTS = (".zip", ".pt")
 
@@ -49,22 +49,22 @@ class CommandSettings:
     """Name or path of a task file."""
     agent: str = setting("")
     checkpoint: str = setting("")
-    """A file, or `last`."""
+    """Path of a checkpoint, or `last`."""
     logs: str = setting("logs")
 
     @property
     def name(self) -> str:
-        """The name of agent files and log folders, for example `Ant` for `my/Ant.yaml`."""
+        """The task's name in agent files and log folders, for example `Ant` for `my/Ant.yaml`."""
         return Path(self.task).stem
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainSettings(CommandSettings):
-    """The keys of `train`; the training starts from the checkpoint."""
+    """The keys of `train`, which starts from the checkpoint if one is given."""
 
     max_iterations: int | None = setting(None, minimum=1)
     log_interval: int | None = setting(None, minimum=1)
-    """Frames between log entries; None means the library's own interval."""
+    """Number of frames from one log entry to the next; None selects the library's default."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +77,7 @@ class PlaySettings(CommandSettings):
 def train(
     library: str, settings: TrainSettings, task_words: list[str], agent_words: list[str]
 ) -> None:
-    """Train with the settings of a command line; Ctrl-C saves a last checkpoint."""
+    """Train with the settings of a command line; after Ctrl-C a last checkpoint is saved."""
     checkpoint = find_checkpoint(library, settings) if settings.checkpoint else None
     content = load_agent_file(library, settings.name, settings.agent, agent_words)
     if settings.max_iterations is not None:
@@ -99,7 +99,7 @@ def train(
 def play(
     library: str, settings: PlaySettings, task_words: list[str], agent_words: list[str]
 ) -> None:
-    """Play one episode in each environment and print returns and lengths."""
+    """Play one episode in each environment, and print the episodes' returns and lengths."""
     checkpoint = find_checkpoint(library, settings)
     places = checkpoint.parents[:2]
     run = next((place for place in places if (place / _AGENT_FILE).is_file()), None)
@@ -112,7 +112,7 @@ def play(
         viewers.start(task, run or checkpoint.parent, _interrupt, f"play_{_date()}")
         policy = agent.policy()
         observations = agent.env.reset()
-        if isinstance(observations, tuple):  # with infos
+        if isinstance(observations, tuple):  # Some libraries return (observations, infos).
             observations = observations[0]
 
         def step() -> None:
@@ -142,7 +142,7 @@ def _date() -> str:
 
 
 def _interrupt() -> None:
-    """End the play like Ctrl-C, because the window was closed."""
+    """Raise Ctrl-C's exception after the window was closed, to end the program."""
     raise KeyboardInterrupt
 
 
@@ -156,7 +156,7 @@ def _session(
     *,
     plays: bool = False,
 ) -> Iterator[tuple[Agent, dict[str, Any], Viewers]]:
-    """Seed the random generators and make a task with its agent; free the task at the end.
+    """Seed the random generators and make a task with its agent; close the task at the end.
 
     Args:
         library: name of the library.
@@ -164,10 +164,10 @@ def _session(
         words: settings of the task as on train.py's command line.
         content: content of the agent file.
         checkpoint: checkpoint to load, or None.
-        plays: whether the agent is played, not trained.
+        plays: True to play the agent, False to train the agent.
 
     Yields:
-        The agent, the task's configuration as plain values, and the viewers before their start.
+        The agent, the task's configuration as plain values, and viewers that are not started yet.
     """
     agent_seed = read_keys(SeedSettings, content, "agent").seed
     cfg = compose_task(name, [f"seed={agent_seed}", *words])
@@ -231,7 +231,7 @@ def _write_params(folder: Path, files: dict[str, dict[str, Any]]) -> None:
 
 
 def find_checkpoint(library: str, settings: CommandSettings) -> Path:
-    """Return the command line's checkpoint, or the task's newest checkpoint."""
+    """Return the checkpoint that the command line names, or the task's newest checkpoint."""
     if settings.checkpoint not in ("", LAST):
         checkpoint = user_path(settings.checkpoint)
         if not checkpoint.is_file():
@@ -251,9 +251,10 @@ def find_checkpoint(library: str, settings: CommandSettings) -> Path:
 def play_episodes(
     stepper: AutoresetTask, step: Callable[[], None]
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Step until every environment has ended an episode; measure the first episode of each.
+    """Step until each environment has ended an episode; measure each environment's first episode.
 
-    The episodes that end within a fixed time would be too short on average.
+    The number of steps is not fixed, because the episodes that end within a fixed number of steps
+    are shorter than the average episode.
 
     Returns:
         (N,) sums of rewards, (N,) control steps, and (N,) bool, whether the time limit ended the

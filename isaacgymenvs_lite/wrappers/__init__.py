@@ -4,8 +4,8 @@
 
     env = Sb3VecEnvWrapper(isaacgymenvs_lite.make(task="Ant", num_envs=64))
 
-Our wrapper takes the task itself; wrappers of the library take our wrapper. The module of a wrapper
-is imported when its name is first used, because the libraries are optional.
+The argument of our wrapper is a task; the result can be wrapped by the library's wrappers. The
+module of a wrapper is imported when the wrapper is first used, because the libraries are optional.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ __all__ = [
     "SkrlVecEnvWrapper",
 ]
 
-# Maps each name to its module here and to the optional package that it needs.
+# Maps the name of each wrapper to its module and to the optional package that the module needs.
 _PLACES: dict[str, tuple[str, str | None]] = {
     "GymnasiumEnv": ("gymnasium_env", None),
     "GymnasiumVectorEnv": ("gymnasium_env", None),
@@ -51,7 +51,7 @@ def __getattr__(name: str) -> Any:
     """Import a wrapper.
 
     Raises:
-        MissingPackageError: its library is not installed.
+        MissingPackageError: the wrapper's library is not installed.
     """
     if name not in _PLACES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

@@ -1,8 +1,8 @@
 """Gives all tasks one reset convention, which the wrappers for other libraries use.
 
-Tasks start the next episode at different times (see `VecTask`). Here the step that ends an episode
-also starts the next episode. It returns the last observation of the ended episode and the first
-observation of the next, and distinguishes failures from time limits.
+Tasks start the next episode at different times (see `VecTask`). In `AutoresetTask` the step that
+ends an episode also starts the next episode. This step returns the last observation of the ended
+episode and the first observation of the next episode, and distinguishes failures from time limits.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.random_stream import RandomStream
 
 Observations = dict[str, Tensor]
-"""{"obs": (N, F)} or {"obs": (N, F), "states": (N, S)}; states are for asymmetric critics."""
+"""{"obs": (N, F)}, or {"obs": (N, F), "states": (N, S)} for asymmetric critics."""
 RENDER_MODE = "rgb_array"
 
 
 @dataclass(frozen=True)
 class EndedEpisodes:
-    """The n episodes that ended with a step.
+    """The n episodes that ended in one step.
 
     Attributes:
-        env_ids: (n,) int64 environments of the episodes.
-        returns: (n,) float64 sums of rewards.
-        lengths: (n,) int64 control steps.
+        env_ids: (n,) int64, indices of the environments.
+        returns: (n,) float64, sums of the rewards.
+        lengths: (n,) int64, numbers of control steps.
         time_s: time since the task was wrapped.
     """
 
@@ -50,17 +50,18 @@ class Transition:
     """The results of a step of N environments; later steps do not change these tensors.
 
     Attributes:
-        observations: observations of the running episodes; where an episode ended, the first
-            observation of the next episode.
-        final_observations: observations before the next episodes started. Only the rows of ended
-            episodes have a meaning. None if no episode ended.
+        observations: observations of the running episodes. After the end of an episode the row is
+            the first observation of the next episode.
+        final_observations: observations before the next episodes started, or None if no episode
+            ended. Only the rows of ended episodes have a meaning.
         rewards: (N,) float32.
         terminated: (N,) bool, whether a failure ended the episode.
-        truncated: (N,) bool, whether only the time limit ended the episode, or the simulation
-            diverged; after a divergence the final observation is the last good observation.
+        truncated: (N,) bool, whether the time limit ended the episode without a failure, or the
+            simulation diverged. After a divergence the final observation is the last observation
+            before the divergence.
         per_env: infos with a row for each environment, (N, ...), before the next episodes started.
             `diverged` (N,) bool exists only if a simulation diverged.
-        scalars: infos about all environments, by name: `episode/rew_torque`.
+        scalars: dictionary of infos about all environments, for example `episode/rew_torque`.
         episodes: the episodes that ended.
     """
 
@@ -84,18 +85,18 @@ class AutoresetTask:
 
     Args:
         task: a task of `isaacgymenvs_lite.make`.
-        adapter: name of the wrapper, for errors.
+        adapter: name of the wrapper, which errors contain.
         random: random stream of the task.
-        render_mode: `rgb_array`, or None for no pictures.
+        render_mode: `rgb_array`, or None to draw no pictures.
         width: width of a picture in pixels.
         height: height of a picture in pixels.
 
     Attributes:
-        last_step: the results of the last step; None before the first step.
+        last_step: the results of the last step, or None before the first step.
         num_steps: number of control steps so far.
 
     Raises:
-        WrapperError: `task` is something else, for example a wrapped task.
+        WrapperError: `task` is a wrapped task or another object.
         ConfigError: the render mode is unknown.
     """
 
@@ -118,7 +119,7 @@ class AutoresetTask:
         self._camera = TaskCamera(self.task, width, height)
         self._random = random or RandomStream()
         num_envs, device = self.task.num_envs, self.task.rl_device
-        # float32 sums of a thousand rewards would lose digits.
+        # The sums are float64, because float32 sums of a thousand rewards lose digits.
         self._returns = torch.zeros(num_envs, dtype=torch.float64, device=device)
         self._lengths = torch.zeros(num_envs, dtype=torch.int64, device=device)
         self._start_s = time.perf_counter()
@@ -134,7 +135,7 @@ class AutoresetTask:
         return max(1, round(1.0 / self.task.simulation.dt))
 
     def reset(self, seed: int | None = None) -> Observations:
-        """Start new episodes; a seed determines all later random values of the task."""
+        """Start new episodes; `seed` determines all later random values of the task."""
         if seed is not None:
             self._random.seed(seed)
         self._returns.zero_()
@@ -143,7 +144,7 @@ class AutoresetTask:
             return self.task.reset()
 
     def reset_some(self, mask: Tensor, seed: int | None = None) -> Observations:
-        """Start new episodes where `mask` (N,) is True; return observations of all environments."""
+        """Start episodes where `mask` (N,) is True; return the observations of all environments."""
         if seed is not None:
             self._random.seed(seed)
         self._restart_counts(mask.to(self.task.rl_device))
@@ -152,7 +153,7 @@ class AutoresetTask:
             return self.task.reset_done()[0]
 
     def step(self, actions: Tensor) -> Transition:
-        """Make one control step with actions (N, A), and start the next episodes."""
+        """Make one control step with actions (N, A); start a new episode where one ended."""
         expected = (self.num_envs, self.task.num_actions)
         if tuple(actions.shape) != expected:
             raise ConfigError(f"actions of shape {tuple(actions.shape)}: expected {expected}")
@@ -183,11 +184,11 @@ class AutoresetTask:
         return self._camera.draw(range(self.num_envs))
 
     def render(self) -> list[Image] | None:
-        """Return the result of `draw`; None without a render mode."""
+        """Return the result of `draw`, or None without a render mode."""
         return self.draw() if self.render_mode else None
 
     def close(self) -> None:
-        """Free renderer and simulation; a second call does nothing."""
+        """Release the renderer and the simulation; a second call does nothing."""
         self._camera.close()
         self.task.close()
 
@@ -208,7 +209,7 @@ class AutoresetTask:
     def _stepping(self) -> Iterator[None]:
         """Use the environment's random stream, and leave inference mode.
 
-        rsl_rl steps in inference mode, whose tensors cannot be changed outside of it.
+        rsl_rl steps in inference mode; tensors made in inference mode cannot be changed later.
         """
         with self._random, torch.inference_mode(False), torch.no_grad():
             yield
@@ -218,7 +219,7 @@ def checked_task(env: Any, adapter: str) -> VecTask:
     """Return `env` if it is a task without a wrapper.
 
     Raises:
-        WrapperError: it is something else.
+        WrapperError: `env` is a wrapped task or another object.
     """
     if isinstance(env, VecTask):
         return env
@@ -233,7 +234,7 @@ def _sorted_infos(
 ) -> tuple[dict[str, Tensor], dict[str, float]]:
     """Split infos into infos with a row for each environment and scalars.
 
-    `time_outs` is left out, and so is `diverged` unless a simulation diverged.
+    `time_outs` is left out. `diverged` is left out unless a simulation diverged.
     """
     per_env: dict[str, Tensor] = {}
     scalars: dict[str, float] = {}

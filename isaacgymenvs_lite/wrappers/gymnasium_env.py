@@ -45,8 +45,8 @@ def make_vector_env(task: str, num_envs: int, **keywords: Any) -> GymnasiumVecto
         num_envs: number of environments N.
         keywords: render_mode (`rgb_array` or None), width and height of a picture in pixels,
             overrides (settings as on train.py's command line), config_dir (a folder with more task
-            files below task/), and keys of cfg/config.yaml such as `num_threads=2`. `seed` gives
-            the task its own random sequence from the start, like `reset(seed=...)`.
+            files below task/), and keys of cfg/config.yaml such as `num_threads=2`. `seed` starts
+            a separate random sequence for the task, like `reset(seed=...)`.
 
     Raises:
         ConfigError: a key is unknown, or a value cannot be used.
@@ -90,9 +90,9 @@ def make_task(
 
     Args:
         task: name of a task file.
-        num_envs: number of environments; '' means the task file's number.
+        num_envs: number of environments; '' selects the number in the task file.
         keys: keys of cfg/config.yaml.
-        overrides: settings as on the command line.
+        overrides: settings as on train.py's command line.
         config_dir: a folder with more task files.
         cfg: a composed tree, which replaces all other arguments.
     """
@@ -121,17 +121,17 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
     """N environments of a task; `gymnasium.make_vec("IsaacGymEnvsLite/<Task>-v0")` makes one.
 
     A step that ends an episode returns the first observation of the next episode
-    (`AutoresetMode.SAME_STEP`). Row i of `infos["final_obs"]` is then the last observation of the
-    ended episode of environment i, and `infos["final_info"]` has its last infos.
+    (`AutoresetMode.SAME_STEP`). If an episode of environment i ended, row i of `infos["final_obs"]`
+    is the last observation of this episode, and `infos["final_info"]` has its last infos.
 
-    `infos["states"]` (N, S), for asymmetric critics, belong to the returned observations. All other
-    infos, for example `amp_obs` (N, F), belong to the step, so that an ended episode has its last
-    infos.
+    `infos["states"]` (N, S), for asymmetric critics, belongs to the returned observations. All
+    other infos, for example `amp_obs` (N, F), describe the end of the step, before the next
+    episodes start.
 
-    See `AutoresetTask` for arguments and errors; the attribute `stepper` is one.
+    See `AutoresetTask` for arguments and errors; the attribute `stepper` is an `AutoresetTask`.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012  as Gymnasium declares it
+    metadata: dict[str, Any] = {  # noqa: RUF012  Gymnasium declares this attribute like this.
         "render_modes": [RENDER_MODE],
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
@@ -163,7 +163,8 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
 
         Args:
             seed: seed of the random sequence that all environments of the task share.
-            options: `reset_mask`, (N,) bool with at least one True, limits the environments.
+            options: may have `reset_mask` (N,) bool, which selects at least one environment to
+                reset.
         """
         super().reset(seed=seed)
         mask = (options or {}).get("reset_mask")
@@ -213,40 +214,40 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         return infos
 
     def render(self) -> tuple[Image, ...] | None:
-        """Return a picture (height, width, 3) of each environment; None without a render mode."""
+        """Return a picture (height, width, 3) per environment, or None without a render mode."""
         pictures = self.stepper.render()
         return None if pictures is None else tuple(pictures)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Free renderer and simulation."""
+        """Release the renderer and the simulation."""
         self.stepper.close()
 
 
 class ShowsFirst:
-    """An environment that shows environment 0 of its task."""
+    """Base class of environments that draw environment 0 of their task."""
 
     stepper: AutoresetTask
 
     def render(self) -> Image | None:
-        """Return a picture (height, width, 3) of environment 0; None without a render mode."""
+        """Return a picture (height, width, 3) of environment 0, or None without a render mode."""
         pictures = self.stepper.render()
         return None if pictures is None else pictures[0]
 
     def close(self) -> None:
-        """Free renderer and simulation; a second call does nothing."""
+        """Release the renderer and the simulation; a second call does nothing."""
         self.stepper.close()
 
 
 class GymnasiumEnv(ShowsFirst, gymnasium.Env[Floats, Floats]):
     """One environment; `gymnasium.make("IsaacGymEnvsLite/<Task>-v0")` makes one.
 
-    The step that ends an episode returns its last observation, and `reset` starts the next episode.
+    The last step of an episode returns the last observation, and `reset` starts the next episode.
     `info` has `states` (S,) for asymmetric critics and the task's other infos.
 
-    See `AutoresetTask` for arguments and errors; the task has one environment.
+    See `AutoresetTask` for arguments and errors; the task must have one environment.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [RENDER_MODE]}  # noqa: RUF012  as Gymnasium
+    metadata: dict[str, Any] = {"render_modes": [RENDER_MODE]}  # noqa: RUF012
 
     def __init__(
         self,
@@ -273,7 +274,7 @@ class GymnasiumEnv(ShowsFirst, gymnasium.Env[Floats, Floats]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Floats, dict[str, Any]]:
-        """Start a new episode; return its observation (F,) and info."""
+        """Start a new episode; return its first observation (F,) and info."""
         super().reset(seed=seed)
         observations = self.stepper.reset(seed)
         return _row(observations.pop("obs")), {name: _row(v) for name, v in observations.items()}
@@ -294,14 +295,14 @@ class GymnasiumEnv(ShowsFirst, gymnasium.Env[Floats, Floats]):
 
 
 def as_numpy(tensor: torch.Tensor) -> npt.NDArray[Any]:
-    """Return a tensor of any device as an array."""
+    """Return a tensor of any device as a numpy array."""
     return tensor.cpu().numpy()
 
 
 def _masked(
     per_env: dict[str, torch.Tensor], scalars: dict[str, float], mask: Bools
 ) -> dict[str, Any]:
-    """Return infos in Gymnasium's form: arrays of N rows by name, and masks by `_<name>`."""
+    """Return infos as in Gymnasium: `name` has an array of N rows, `_name` the array's mask."""
     infos: dict[str, Any] = {}
     for name, rows in per_env.items():
         infos[name] = as_numpy(rows).copy()
@@ -313,5 +314,5 @@ def _masked(
 
 
 def _row(rows: torch.Tensor) -> Any:
-    """Return the only row of (1, ...) as an array or a number."""
+    """Return the only row of a tensor (1, ...) as an array or a number."""
     return as_numpy(rows)[0].copy()

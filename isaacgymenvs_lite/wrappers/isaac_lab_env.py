@@ -26,9 +26,9 @@ def make_isaac_lab_env(
 
     Args:
         task: name of a task file.
-        cfg: a tree of `isaacgymenvs_lite.config.compose.compose_task`, which replaces all keys.
+        cfg: a tree of `isaacgymenvs_lite.config.compose.compose_task`, which replaces all `keys`.
         render_mode: `rgb_array` or None.
-        num_envs: number of environments N; '' means the task file's number.
+        num_envs: number of environments N; '' selects the number in the task file.
         keys: keys of cfg/config.yaml such as `seed=1`.
 
     Raises:
@@ -48,11 +48,11 @@ class IsaacLabEnv(ShowsFirst, gymnasium.Env[dict[str, Tensor], Tensor]):
     """N environments of a task in one object with batches of tensors, as in Isaac Lab.
 
     A step that ends an episode returns the first observation of the next episode. Observations are
-    {"policy": (N, F)}, and {"critic": (N, S)} for an asymmetric critic. `step_dt` is the control
-    step in s; `max_episode_length` counts control steps.
+    {"policy": (N, F)}; for an asymmetric critic they also have the key `critic` with (N, S).
+    `step_dt` is the control step in s; `max_episode_length` counts control steps.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [None, RENDER_MODE]}  # noqa: RUF012  as Gymnasium
+    metadata: dict[str, Any] = {"render_modes": [None, RENDER_MODE]}  # noqa: RUF012
 
     def __init__(self, stepper: AutoresetTask, cfg: DictConfig | None) -> None:
         self.stepper, self.task, self.cfg = stepper, stepper.task, cfg
@@ -80,8 +80,8 @@ class IsaacLabEnv(ShowsFirst, gymnasium.Env[dict[str, Tensor], Tensor]):
         """Advance by one control step with actions (N, A).
 
         Returns:
-            observations, rewards (N,), terminated (N,), truncated (N,), and infos. Infos have rows
-            for each environment by name; `log` has values for all environments.
+            observations, rewards (N,), terminated (N,), truncated (N,), and infos. Each info has a
+            row for each environment, except `log`, which has values for all environments.
         """
         step = self.stepper.step(torch.as_tensor(action, dtype=torch.float32))
         infos = {**step.per_env, "log": step.scalars}

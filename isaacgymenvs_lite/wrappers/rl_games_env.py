@@ -14,25 +14,25 @@ from isaacgymenvs_lite.utils.threads import release_torch_threads, trainer_sets_
 
 
 class RLGPUEnv(IVecEnv):
-    """The vectorised environment of the task that the registered creator makes; see `env`.
+    """The vectorised environment of a task; the attribute `env` is the task.
 
-    The first action of an episode must belong to its first observation. Agents of the AMP family
-    therefore call `reset_done` before each action, in a task with `agents_call_reset_done`. Until
-    somebody calls `reset_done`, `step` calls it and returns its observations, because rl_games' own
-    agents never do.
+    The first action of an episode must belong to the first observation of the episode. Agents of
+    the AMP family therefore call `reset_done` before each action, if the task has
+    `agents_call_reset_done`. rl_games' agents never call `reset_done`; therefore `step` calls
+    `reset_done` and returns its observations until an agent calls `reset_done`.
 
     Args:
         config_name: name of the environment in rl_games' configurations, `rlgpu`.
-        num_actors: rl_games' number of environments, for `isaacgymenvs_lite.make` without
-            `num_envs`; a user's own creator does not receive it.
-        kwargs: arguments of the creator.
+        num_actors: rl_games' number of environments, which `isaacgymenvs_lite.make` uses if
+            `num_envs` is missing. A creator that a user has registered does not receive it.
+        kwargs: arguments of the registered creator, which makes the task.
     """
 
     def __init__(self, config_name: str, num_actors: int, **kwargs: Any) -> None:
         creator = env_configurations.configurations[config_name]["env_creator"]
         if creator is isaacgymenvs_lite.make and "cfg" not in kwargs:
             kwargs.setdefault("num_envs", num_actors)
-        with trainer_sets_threads():  # rl_games has the key torch_threads
+        with trainer_sets_threads():  # The trainer sets torch's threads by its key torch_threads.
             self._wrap(creator(**kwargs))
 
     @classmethod
@@ -44,8 +44,8 @@ class RLGPUEnv(IVecEnv):
 
     def _wrap(self, task: VecTask) -> None:
         self.env = task
-        release_torch_threads(task)  # of a task that was made before
-        # A user's own environment may lack this attribute.
+        release_torch_threads(task)  # An existing task has set torch's number of threads.
+        # An environment that a user wrote may lack this attribute.
         self._calls_reset_done = getattr(task, "agents_call_reset_done", False)
 
     def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
@@ -69,7 +69,7 @@ class RLGPUEnv(IVecEnv):
         return self.env.num_agents
 
     def get_env_info(self) -> dict[str, Any]:
-        """Return the spaces; only some tasks have amp_observation_space and state_space."""
+        """Return the task's spaces; amp_observation_space and state_space may be missing."""
         info: dict[str, Any] = {
             "action_space": self.env.action_space,
             "observation_space": self.env.observation_space,
@@ -83,11 +83,11 @@ class RLGPUEnv(IVecEnv):
         return info
 
     def set_train_info(self, env_frames: int, *args: Any, **kwargs: Any) -> None:
-        """Pass on the number of environment steps of the training."""
+        """Tell the task how many environment steps the training has made."""
         self.env.set_train_info(env_frames, *args, **kwargs)
 
     def get_env_state(self) -> Any:
-        """Return the task's state for the checkpoint."""
+        """Return the task's state, which the checkpoint contains."""
         return self.env.get_env_state()
 
     def set_env_state(self, env_state: Any) -> None:
@@ -95,5 +95,5 @@ class RLGPUEnv(IVecEnv):
         self.env.set_env_state(env_state)
 
     def close(self) -> None:
-        """Free the task's simulation."""
+        """Release the task's simulation."""
         self.env.close()

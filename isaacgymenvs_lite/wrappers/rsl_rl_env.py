@@ -12,7 +12,7 @@ from torch import Tensor
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations
 
 ACTOR_GROUP, CRITIC_GROUP = "policy", "critic"
-"""Names of the observation groups: observations of policies, states of asymmetric critics."""
+"""rsl_rl's names for the group of observations and the group of states of asymmetric critics."""
 
 
 class RslRlVecEnvWrapper(VecEnv):
@@ -35,7 +35,7 @@ class RslRlVecEnvWrapper(VecEnv):
 
     @property
     def episode_length_buf(self) -> Tensor:
-        """(N,) int64 control steps of the running episodes; runners also set it."""
+        """(N,) int64, control steps of the running episodes; runners also set this attribute."""
         return self.task.progress_buf.to(self.device)
 
     @episode_length_buf.setter
@@ -43,7 +43,7 @@ class RslRlVecEnvWrapper(VecEnv):
         self.task.progress_buf.copy_(lengths)
 
     def get_observations(self) -> TensorDict:
-        """Return the current observations by group."""
+        """Return a TensorDict that maps each group to the current observations."""
         return self._observations
 
     def reset(self) -> tuple[TensorDict, dict[str, Any]]:
@@ -55,7 +55,7 @@ class RslRlVecEnvWrapper(VecEnv):
         """Advance by one control step with actions (N, A).
 
         Returns:
-            observations by group, rewards (N,), dones (N,) int64 and extras.
+            TensorDict of observations, rewards (N,), dones (N,) int64 and extras.
         """
         step = self.stepper.step(actions)
         self._observations = self._grouped(step.observations)
@@ -65,7 +65,7 @@ class RslRlVecEnvWrapper(VecEnv):
         return self._observations, step.rewards, step.ended.long(), extras
 
     def close(self) -> None:
-        """Free the simulation."""
+        """Release the simulation."""
         self.stepper.close()
 
     def _grouped(self, observations: Observations) -> TensorDict:

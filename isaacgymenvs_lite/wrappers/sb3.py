@@ -29,20 +29,20 @@ from isaacgymenvs_lite.wrappers.isaac_lab_env import IsaacLabEnv
 log = logging.getLogger(__name__)
 
 _BATCHED = (IsaacLabEnv, GymnasiumVectorEnv)
-# These wrappers do not change the results of a step.
+# Wrappers of Gymnasium that do not change the results of a step.
 _RECORDERS = (
     *(gymnasium.wrappers.RecordVideo, gymnasium.wrappers.vector.RecordVideo),
     *(gymnasium.wrappers.OrderEnforcing, gymnasium.wrappers.PassiveEnvChecker),
 )
 
-# PPO's arguments that may fall linearly to zero, "lin_3e-4", as in Stable-Baselines3's zoo.
+# PPO's arguments that may be schedules such as "lin_3e-4", which fall linearly to zero.
 _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 _LINEAR = "lin_"
 _NN = ("nn.", "torch.nn.", "th.nn.")
 
 
 def _unrecorded(env: Any) -> Any:
-    """Return the environment inside video recorders and Gymnasium's checks."""
+    """Return the environment without its video recorders and Gymnasium's checks."""
     while isinstance(env, _RECORDERS):
         env = env.env
     return env
@@ -52,22 +52,23 @@ class Sb3VecEnvWrapper(VecEnv):
     """N environments of a task for Stable-Baselines3.
 
     `infos[i]` of an ended episode has `terminal_observation` (F,), `TimeLimit.truncated` and
-    `episode` {"r": return, "l": length, "t": s since the start}, so that `VecMonitor` is not
-    needed. Every `infos[i]` also has the task's infos for environment i at the end of the step, for
-    example `amp_obs` (F,); `infos[i]["log"]` has the infos about all environments.
+    `episode` {"r": return, "l": length, "t": time in s since the start}; `VecMonitor`, which adds
+    the same values, is not needed. Every `infos[i]` also has the task's infos for environment i at
+    the end of the step, for example `amp_obs` (F,); `infos[i]["log"]` has the infos about all
+    environments.
 
     Args:
-        task: a task of `isaacgymenvs_lite.make`, or the result of
-            `gymnasium.make("Isaac-Cartpole-v0")` or `gymnasium.make_vec`, also with a video
+        task: a task of `isaacgymenvs_lite.make`, or an environment of
+            `gymnasium.make("Isaac-Cartpole-v0")` or `gymnasium.make_vec`, with or without a video
             wrapper.
-        render_mode: `rgb_array` or None; an environment of Gymnasium has its own mode.
-        fast_variant: has no effect, because infos are always complete; Isaac Lab has it.
+        render_mode: `rgb_array` or None; ignored if `task` is an environment of Gymnasium.
+        fast_variant: an argument of Isaac Lab without effect, because infos are always complete.
 
     Attributes:
         stepper: steps the task; its `last_step` contains the last step as tensors.
 
     Raises:
-        WrapperError: `task` is something else, or has a wrapper that changes the results of a step.
+        WrapperError: `task` has another type, or a wrapper that changes the results of a step.
     """
 
     def __init__(
@@ -83,7 +84,7 @@ class Sb3VecEnvWrapper(VecEnv):
         super().__init__(self.task.num_envs, self.task.observation_space, self.task.action_space)
 
     def reset(self) -> Floats:
-        """Start new episodes, with the seed given to `seed`; return observations (N, F)."""
+        """Start new episodes with the seed set by `seed`; return observations (N, F)."""
         seed = self._seeds[0]
         self._reset_seeds()
         self._reset_options()
@@ -99,10 +100,10 @@ class Sb3VecEnvWrapper(VecEnv):
         self._actions = torch.as_tensor(np.asarray(actions, dtype=np.float32))
 
     def step_wait(self) -> tuple[Floats, Floats, Bools, list[dict[str, Any]]]:
-        """Return observations (N, F), rewards (N,), dones (N,) and N infos, see the class."""
+        """Make the step; return observations (N, F), rewards (N,), dones (N,) and N infos."""
         if self._env is None:
             self.stepper.step(self._actions)
-        else:  # the recorders around the environment see the step
+        else:  # The step must pass through the video recorders around the environment.
             self._env.step(self._actions)
         step = self.stepper.last_step
         assert step is not None
@@ -137,17 +138,17 @@ class Sb3VecEnvWrapper(VecEnv):
         return infos
 
     def close(self) -> None:
-        """Free renderer and simulation."""
+        """Release the renderer and the simulation."""
         (self.stepper if self._env is None else self._env).close()
 
     def get_images(self) -> Sequence[Image]:
         """Return a picture of each environment."""
         return self.stepper.draw()
 
-    # --- per-environment calls of Stable-Baselines3; here all environments are one task ----------
+    # --- Stable-Baselines3's calls for single environments, which all belong to one task ---------
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute of the task in a list, once for each environment."""
+        """Return a list with the same attribute of the task for each environment."""
         owner = self.stepper if attr_name == "render_mode" else self.task
         value = getattr(owner, attr_name)
         return [value for _ in self._get_indices(indices)]
@@ -164,25 +165,25 @@ class Sb3VecEnvWrapper(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of the task once; return its result in a list for each environment."""
+        """Call a method of the task once; return a list with the result for each environment."""
         result = getattr(self.task, method_name)(*method_args, **method_kwargs)
         return [result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Return True for `Monitor`, because infos have returns and lengths of episodes."""
+        """Return True for `Monitor`, because `infos` has the returns and lengths of episodes."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
 
 def process_sb3_cfg(cfg: Mapping[str, Any], num_envs: int) -> dict[str, Any]:
-    """Return an agent file of Isaac Lab as arguments of Stable-Baselines3's PPO.
+    """Convert an agent file of Isaac Lab to arguments of Stable-Baselines3's PPO.
 
     `n_minibatches` becomes `batch_size`, `lin_3e-4` becomes a schedule, and the activation in
     `policy_kwargs` becomes a class. `device` is removed if it names a GPU that torch does not see.
-    All other keys stay, also `n_timesteps`, `policy` and `normalize_input`, which PPO does not
-    have.
+    All other keys stay, even `n_timesteps`, `policy` and `normalize_input`, which are not arguments
+    of PPO.
 
-    Older files write `policy_kwargs` as a line of Python, `"dict(activation_fn=nn.ELU, ...)"`,
-    which Isaac Lab evaluates. Here the line is parsed but never run.
+    In older files `policy_kwargs` is Python code, `"dict(activation_fn=nn.ELU, ...)"`, which Isaac
+    Lab evaluates. This function parses the code but never runs it.
 
     Raises:
         ConfigError: a value is wrong.
@@ -198,7 +199,7 @@ def process_sb3_cfg(cfg: Mapping[str, Any], num_envs: int) -> dict[str, Any]:
 
 
 def read_schedules(section: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return arguments of PPO with schedules in place of values such as "lin_3e-4"."""
+    """Replace values such as "lin_3e-4" by schedules; return all arguments of PPO."""
     made = dict(section)
     for key in _SCHEDULED:
         value = made.get(key)

@@ -19,9 +19,9 @@ class SkrlVecEnvWrapper(Wrapper):
 
     `infos` has the task's infos for each environment at the end of the step, for example `amp_obs`
     (N, F); `infos["episode"]` has the infos about all environments, which trainers log. A step that
-    ends episodes returns the first observations of the next episodes and adds
-    `final_observations` (N, F), the last observations of the ended episodes. Rows of other
-    environments have no meaning.
+    ends episodes returns the first observations of the next episodes, and its infos have the key
+    `final_observations` (N, F). Row i is the last observation of environment i's ended episode; it
+    has no meaning if no episode of environment i ended.
 
     `render_mode` is `rgb_array` or None; `stepper` steps the task.
     """
@@ -51,21 +51,21 @@ class SkrlVecEnvWrapper(Wrapper):
             }
         if step.final_observations is not None:
             infos["final_observations"] = step.final_observations["obs"]
-        # Agents change the rewards in place, so they get copies.
+        # Agents change the rewards in place, so that they must receive copies.
         columns = (step.rewards, step.terminated, step.truncated)
         rewards, terminated, truncated = (column.clone().unsqueeze(-1) for column in columns)
         return self._observed(step.observations), rewards, terminated, truncated, infos
 
     def state(self) -> Tensor | None:
-        """Return the states (N, S) of asymmetric critics; None if the task has none."""
+        """Return the states (N, S) of asymmetric critics, or None if the task has no states."""
         return self._states
 
     def render(self, *args: Any, **kwargs: Any) -> list[Image] | None:
-        """Return a picture of each environment; None without a render mode."""
+        """Return a picture of each environment, or None without a render mode."""
         return self.stepper.render()
 
     def close(self) -> None:
-        """Free renderer and simulation."""
+        """Release the renderer and the simulation."""
         self.stepper.close()
 
     def _observed(self, observations: Observations) -> Tensor:
@@ -79,5 +79,5 @@ class SkrlVecEnvWrapper(Wrapper):
 
     @property
     def state_space(self) -> gymnasium.Space | None:
-        """Box of one environment's states; None if the task has none."""
+        """Box of one environment's states, or None if the task has no states."""
         return self.task.state_space if self.task.num_states > 0 else None

@@ -3,7 +3,7 @@
     env = gymnasium.make("IsaacGymEnvsLite/Ant-v0", render_mode="rgb_array")
     env = RecordVideo(env, "videos", episode_trigger=lambda episode: episode % 10 == 0)
 
-Gymnasium's own classes need MoviePy, which installs an ffmpeg and an older Pillow.
+Gymnasium's recorders need MoviePy, which installs a copy of ffmpeg and an older Pillow.
 """
 
 from __future__ import annotations
@@ -25,25 +25,26 @@ from isaacgymenvs_lite.rendering.tracks import PoseRecorder
 from isaacgymenvs_lite.rendering.video import check_encoder, save_video
 from isaacgymenvs_lite.viewers.videos import VideoWriter, make_video_folder
 
-# Largest number of control steps of a video that shows a whole episode.
+# Largest number of control steps in a video of a whole episode.
 _MAX_LENGTH = 10_000
 
 
 class TaskVideo:
     """Records videos of environment 0 of a task, and passes all other calls to the task.
 
-    It replaces the wrapper of gym 0.2x in scripts of IsaacGymEnvs, in which a step returns four
-    values (gymnasium's wrapper expects five). A thread draws and encodes.
+    It replaces gym 0.2x's `RecordVideo` in scripts of IsaacGymEnvs. In these scripts a step returns
+    four values, but gymnasium's `RecordVideo` expects five values. A thread draws and encodes the
+    videos.
 
     Args:
         env: a task of `isaacgymenvs_lite.make`.
         video_folder: folder for the files, which is made if it does not exist.
-        episode_trigger: is called with the number of ended episodes of environment 0; True starts a
-            video `<name_prefix>-episode-<number>.mp4`.
-        step_trigger: is called with the number of steps; True starts a video
-            `<name_prefix>-step-<number>.mp4`. Without a trigger the episodes 0, 1, 8, 27, ..., 729
-            and then every thousandth episode are recorded.
-        video_length: steps of a video; 0 means the length of the episode of environment 0.
+        episode_trigger: function of the number of ended episodes of environment 0. If it returns
+            True, a video `<name_prefix>-episode-<number>.mp4` starts.
+        step_trigger: function of the number of steps. If it returns True, a video
+            `<name_prefix>-step-<number>.mp4` starts. Without a trigger the episodes 0, 1, 8, 27,
+            ..., 729 and then every thousandth episode are recorded.
+        video_length: number of steps in a video; 0 records one episode of environment 0.
         name_prefix: prefix of the files' names; existing files are not overwritten.
 
     Raises:
@@ -76,7 +77,7 @@ class TaskVideo:
         self._recorder: PoseRecorder | None = None
         self._path = self.video_folder
         self._recorded = 0
-        # A script may end without closing the task.
+        # A script may exit without closing the task.
         atexit.register(self.close_video_recorder)
 
     def __getattr__(self, name: str) -> Any:
@@ -91,13 +92,13 @@ class TaskVideo:
         return getattr(self.env, "unwrapped", self.env)
 
     def reset(self, **kwargs: Any) -> Any:
-        """Reset the task, and start a video if a trigger says so."""
+        """Reset the task, and start a video if a trigger returns True."""
         observations = self.env.reset(**kwargs)
         self._start_if_due()
         return observations
 
     def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, dict[str, Any]]:
-        """Advance the task, and continue, end or start a video."""
+        """Advance the task by one control step, and continue, end or start a video."""
         result = self.env.step(actions)
         has_ended = bool(result[2][0])
         self.step_id += 1
@@ -111,7 +112,7 @@ class TaskVideo:
         return result
 
     def close(self) -> None:
-        """Finish the started videos, then close the task."""
+        """Write the started videos, then close the task."""
         atexit.unregister(self.close_video_recorder)
         self.close_video_recorder()
         self.env.close()
@@ -141,19 +142,19 @@ class TaskVideo:
 
 
 class _EncodedByPyAV:
-    """Replaces the encoder in Gymnasium's classes."""
+    """Base class that replaces MoviePy by PyAV in Gymnasium's recorders."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         check_encoder()
         given = inspect.signature(super().__init__).bind(*args, **kwargs).arguments
         if given.get("episode_trigger") is None and given.get("step_trigger") is None:
-            # Gymnasium's function is in a module that imports MoviePy.
+            # Gymnasium's default trigger is in a module that imports MoviePy.
             kwargs["episode_trigger"] = is_cube_or_thousandth
-        with suppress(DependencyNotInstalled):  # the constructor raises it as its last action
+        with suppress(DependencyNotInstalled):  # The last statement of the constructor raises this.
             super().__init__(*args, **kwargs)
 
     def stop_recording(self: Any) -> None:
-        """Write the recorded pictures; no file is written without pictures."""
+        """Write the recorded pictures to a file; write no file if there are no pictures."""
         if self.recorded_frames:
             path = Path(self.video_folder, f"{self._video_name}.mp4")
             save_video(path, self.recorded_frames, self.frames_per_sec)
@@ -163,7 +164,7 @@ class _EncodedByPyAV:
 
 
 def is_cube_or_thousandth(episode: int) -> bool:
-    """Return whether an episode is recorded by default: 0, 1, 8, ..., 729, and each 1000th."""
+    """Return whether an episode's index is a cube below 1000 or a multiple of 1000."""
     if episode >= 1000:
         return episode % 1000 == 0
     return round(episode ** (1 / 3)) ** 3 == episode
@@ -174,4 +175,4 @@ class RecordVideo(_EncodedByPyAV, gymnasium.wrappers.RecordVideo):
 
 
 class RecordVectorVideo(_EncodedByPyAV, gymnasium.wrappers.vector.RecordVideo):
-    """`gymnasium.wrappers.vector.RecordVideo` without MoviePy; it shows all environments."""
+    """`gymnasium.wrappers.vector.RecordVideo`, which shows all environments, without MoviePy."""

@@ -3,8 +3,8 @@
 A clip is {"Loop": "wrap" or "none", "Frames": rows of 44 values}. A row holds the duration of the
 frame (s), the root's position and rotation, and the rotations of 12 joints of the humanoid. The
 axes of a file are x forward, y up, z right; the axes of this project are x forward, y left, z up.
-Clips with "wrap" are not repeated here. The format has no hands, therefore hands keep their zero
-pose.
+Clips with "wrap" are not repeated. The format has no hands; therefore the humanoid's hands keep
+their zero pose.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from isaacgymenvs_lite.utils import rotations
 
 PREFIX = "deepmimic:"
 _PACKAGE = "pybullet_data"
-# Patterns of the humanoid clips' file names by folder; other files are clips of a dog.
+# Maps each folder to a pattern of the file names of humanoid clips; other files are clips of a dog.
 _PACKAGE_FOLDERS = {"": "humanoid3d_*.txt", "walker": "*.txt"}
 _SHORT_FOR = "humanoid3d_"
 
@@ -50,13 +50,13 @@ _KINDS = {
     "dance": ("humanoid3d_dance_a", "humanoid3d_dance_b"),
 }
 _KIND_OF = {clip: kind for kind, clips in _KINDS.items() for clip in clips}
-# Kinds of movement with a steady speed.
+# Kinds of movement in the data set `locomotion`, which have a steady speed.
 _LOCOMOTION = ("walk", "turn", "run")
 _LOCOMOTION_SET, _ALL_SET = "locomotion", "all"
 
 
 class PackageClip(NamedTuple):
-    """A clip of the package, with its full name and its weight in a data set (with sum 1)."""
+    """A clip of the package, its full name, and its weight in a data set (weights sum to 1)."""
 
     name: str
     path: Path
@@ -78,8 +78,8 @@ def find_in_package(motion_file: str) -> list[PackageClip]:
 
     `walk` is short for `humanoid3d_walk`; `walker/turn_left0` is a clip in the folder walker. The
     data set `locomotion` contains walking, turning and running; `all` contains every clip. Each
-    kind of movement has the same weight, which its clips share equally. A clip of unknown kind
-    counts as a separate kind.
+    kind of movement has the same weight, which is divided equally among the clips of this kind. A
+    clip of unknown kind counts as a separate kind.
 
     Raises:
         MotionFileError: the package is not installed, or contains no clip or data set with this
@@ -181,7 +181,7 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
             quaternion = _quaternion(rows[:, column : column + 4], body, name)
             local[:, skeleton.body_names.index(body)] = quaternion
         for body, column in HINGE_COLUMNS.items():
-            # DeepMimic's hinge axis z is the axis -y here, and the angle changes its sign.
+            # DeepMimic's hinge axis z is this project's axis -y; therefore the angle is negated.
             half = -0.5 * rows[:, column]
             local[:, skeleton.body_names.index(body), 1] = np.sin(half)
             local[:, skeleton.body_names.index(body), 3] = np.cos(half)
@@ -191,7 +191,7 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
         clip = MotionClip.from_poses(name, fps, *tree, local, lifted)
         if lifted is root or not is_in_air(clip, skeleton):
             return clip
-        # In a crawl with a toe below the ground, the lift has raised hands and knees into the air.
+        # If a toe is below the ground in a crawl, the lift raises the hands and knees into the air.
         _log.info("%s: lowered to the ground, because the lifted clip was in the air", name)
         return put_on_ground(clip, skeleton)
 
@@ -207,7 +207,7 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
             f"{NUM_COLUMNS} numbers, found {found}; write a robot's frames as a .csv (root position"
             " in m, root quaternion xyzw, joints in rad) and convert it with robot=FILE"
         )
-    if not np.abs(rows).max(initial=0.0) <= MAX_PLACE_M:  # also True for NaN
+    if not np.abs(rows).max(initial=0.0) <= MAX_PLACE_M:  # This condition is True for NaN.
         raise MotionFileError(
             f"{name}: the frames hold {np.abs(rows).max():.3g}, expected seconds, metres and "
             f"radians of at most {MAX_PLACE_M:g}"
@@ -227,12 +227,12 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
 
 
 def _vector(xyz: FloatArray) -> FloatArray:
-    """Convert vectors (..., 3) from y up to z up: (x, y, z) -> (x, -z, y)."""
+    """Convert vectors (..., 3) from axes with y up to z up, (x, y, z) -> (x, -z, y)."""
     return np.stack((xyz[..., 0], -xyz[..., 2], xyz[..., 1]), axis=-1)
 
 
 def _quaternion(wxyz: FloatArray, body: str, name: str) -> FloatArray:
-    """Convert quaternions (T, 4) from wxyz and y up to unit quaternions in xyzw and z up."""
+    """Convert quaternions (T, 4) from wxyz and y up to unit quaternions xyzw with z up."""
     length = np.linalg.norm(wxyz, axis=-1, keepdims=True)
     deviation = float(np.abs(length - 1.0).max())
     if deviation > _LENGTH_TOLERANCE:
@@ -269,7 +269,7 @@ def _equal_durations(
 
 
 def _lifted(skeleton: Skeleton, local: FloatArray, root: FloatArray, name: str) -> FloatArray:
-    """Raise the root positions (T, 3) m until no corner of a foot is below z = 0; return them."""
+    """Return root positions (T, 3) m, raised until no corner of a foot is below z = 0."""
     if not skeleton.foot_body_ids:
         return root
     positions, turns = kinematics.forward_kinematics(
@@ -302,7 +302,7 @@ def save_deepmimic(path: str | Path, clip: MotionClip) -> Path:
         rows[:, column : column + 4] = _quaternion_y_up(turns[:, clip.body_names.index(body)])
     for body, column in HINGE_COLUMNS.items():
         turn = torch.from_numpy(turns[:, clip.body_names.index(body)])
-        # DeepMimic's hinge axis is the axis -y here.
+        # DeepMimic's hinge axis is this project's axis -y.
         rows[:, column] = -rotations.quat_log(turn)[:, 1].numpy()
     text = json.dumps({"Loop": "none", "Frames": rows.round(_DECIMALS).tolist()})
     with written_clip(Path(path)) as partial:
@@ -311,7 +311,7 @@ def save_deepmimic(path: str | Path, clip: MotionClip) -> Path:
 
 
 def _vector_y_up(xyz: FloatArray) -> FloatArray:
-    """Convert vectors (T, 3) from z up to y up: (x, y, z) -> (x, z, -y)."""
+    """Convert vectors (T, 3) from axes with z up to y up, (x, y, z) -> (x, z, -y)."""
     return np.stack((xyz[:, 0], xyz[:, 2], -xyz[:, 1]), axis=-1)
 
 

@@ -17,7 +17,7 @@ from isaacgymenvs_lite.utils import files
 
 @contextmanager
 def reading(path: str | Path, kind: str) -> Iterator[None]:
-    """Convert any exception of a reader into a MotionFileError with the file and its `kind`.
+    """Convert any exception of a reader into a MotionFileError that names the file and its kind.
 
     numpy's overflow warnings are silenced, because `validate` refuses infinite values.
     """
@@ -28,7 +28,7 @@ def reading(path: str | Path, kind: str) -> Iterator[None]:
         raise
     except FileNotFoundError as error:
         raise MotionFileError(f"{path}: no such file") from error
-    except Exception as error:  # the readers raise exceptions of many types
+    except Exception as error:  # The readers raise exceptions of many types.
         reason = one_line(error) or type(error).__name__
         raise MotionFileError(f"{path}: is no {kind} that can be read ({reason})") from error
 
@@ -58,7 +58,7 @@ def read_json(path: str | Path) -> dict[str, Any]:
 
 @contextmanager
 def written_clip(path: Path) -> Iterator[Path]:
-    """Yield a temporary path; at the end, the file that was written there replaces `path`."""
+    """Yield a temporary path; after the `with` block, the file at this path replaces `path`."""
     try:
         with files.atomic_write(path) as partial:
             yield partial

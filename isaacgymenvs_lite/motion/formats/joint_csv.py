@@ -44,7 +44,7 @@ _LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
 _COLUMN = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
 _FPS_LINE = re.compile(r"#\s*fps\s*[:=]\s*(?P<fps>\S+)\s*", re.IGNORECASE)
-# Relative tolerance of a time step, because times are often rounded to milliseconds.
+# Relative tolerance of a time step; times are often rounded to milliseconds.
 _STEP_TOLERANCE = 0.1
 _LAFAN1_FPS, _BONES_FPS = 30.0, 120.0
 _ROOT_WIDTH = 7
@@ -77,16 +77,16 @@ _H1_19 = (
     "torso_joint",
     *_sides(_ARM_7[:4]),
 )
-# The robot of a table without a header is recognised by the number of joints.
+# Maps the number of joints in a table without a header to the robot's joint names.
 _BY_NUMBER = {len(names): names for names in (G1_29, _H1_2_27, _H1_19)}
-_ARMS_START = ("",) * 3  # arms begin three joints below the root
+_ARMS_START = ("",) * 3  # The arms' first joints are in the fourth level below the root.
 _LEVELS = itertools.zip_longest(
     *(G1_29[:6], G1_29[6:12], G1_29[12:15]),
     *(_ARMS_START + G1_29[15:22], _ARMS_START + G1_29[22:]),
     fillvalue="",
 )
 G1_29_BREADTH_FIRST = tuple(joint for level in _LEVELS for joint in level if joint)
-"""Isaac Lab's joint order, which is breadth-first."""
+"""The joints of G1 in Isaac Lab's order, which is breadth-first."""
 
 
 def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Path:
@@ -108,7 +108,7 @@ def save_robot_csv(path: str | Path, clip: JointClip) -> Path:
 
 
 def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
-    """Read a clip of a humanoid, whose skeleton is chosen by the DOFs in the header.
+    """Read a clip of a humanoid; the DOFs in the header determine the skeleton.
 
     Columns may be in any order; angles may be in rad or deg, and lengths in m, cm or mm. A file
     without the column `time` needs a line like `# fps: 30`.
@@ -116,8 +116,8 @@ def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionCli
     with reading(path, "table of joint angles"):
         lines, fps = _read_lines(path)
         names, units = _read_header(lines[0], path)
-        # Choose the humanoid with most of the named DOFs; of several, choose the one with fewest
-        # other DOFs.
+        # The humanoid with most of the named DOFs is chosen. If several humanoids have the same
+        # number, the humanoid with the fewest other DOFs is chosen.
         skeleton = max(
             skeletons, key=lambda body: (len(set(body.dof_names) & set(names)), -body.num_dofs)
         )
@@ -157,9 +157,9 @@ def is_robot_csv(path: str | Path) -> bool:
 
 
 def load_robot_csv(path: str | Path, fps: float | None = None) -> JointClip:
-    """Read a table of a robot's joint angles in one of the three forms.
+    """Read a table of a robot's joint angles in one of the three forms of the module docstring.
 
-    `fps` is the frame rate if the file has none; None selects the form's default rate.
+    `fps` is the frame rate of a file that contains no rate; None selects the form's default rate.
     """
     lines, file_fps = _read_lines(path)
     fps = file_fps or fps
@@ -252,7 +252,7 @@ def _check_columns(names: list[str], needed: Iterable[str], path: str | Path) ->
 def _read_columns(
     names: list[str], units: list[str | None], rows: list[list[str]], path: str | Path
 ) -> dict[str, FloatArray]:
-    """Return the columns (T,) by their names, converted to s, m and rad."""
+    """Return a dictionary from names to columns (T,), which are converted to s, m and rad."""
     table = _read_numbers(rows, len(names), path)
     column = {}
     for i, (name, unit) in enumerate(zip(names, units, strict=True)):
@@ -280,7 +280,7 @@ def _units_of(name: str) -> dict[str, float]:
 
 
 def _read_numbers(rows: list[list[str]], width: int, path: str | Path) -> FloatArray:
-    """Return the values (T, width) of all rows; raise an error if one is not finite."""
+    """Return the values (T, width) of all rows; raise an error if a value is not finite."""
     for i, row in enumerate(rows):
         if len(row) != width:
             raise MotionFileError(
@@ -316,7 +316,7 @@ def _frame_rate(column: Mapping[str, FloatArray], fps: float | None, path: str |
 def _write_table(
     path: str | Path, table: FloatArray, joint_names: Sequence[str], fps: float
 ) -> Path:
-    """Write times and `table` (T, 7 + D): root position (m), quaternion xyzw, joints (rad)."""
+    """Write times and a table (T, 7 + D) of root position (m), quaternion xyzw, joints (rad)."""
     table = np.concatenate((np.arange(len(table))[:, None] / fps, table), axis=1)
     names = (*_OWN, *joint_names)
     units = [next(iter(_units_of(name)), None) for name in names]

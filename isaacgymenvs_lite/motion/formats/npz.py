@@ -27,7 +27,7 @@ _EXPECTED = ".npz archive of plain arrays (see motion.formats.npz.save_npz)"
 
 
 def save_npz(path: str | Path, clip: MotionClip) -> Path:
-    """Write a clip and return its path; `.npz` is added if `path` does not end with it.
+    """Write a clip and return the file's path; `.npz` is added if `path` has another suffix.
 
     The file's bytes depend only on the clip. An existing file is replaced in one step.
     """
@@ -89,7 +89,7 @@ def load_npz(path: str | Path) -> MotionClip:
 
 
 def read_arrays(path: str | Path, keys: Iterable[str]) -> dict[str, npt.NDArray]:
-    """Return those arrays of an archive that are named in `keys`; others are not unpacked.
+    """Return the arrays of an archive that `keys` names; other arrays are not unpacked.
 
     Call this function within `reading`, because a damaged archive may raise any exception.
     """
@@ -113,7 +113,7 @@ def check_kind(array: npt.NDArray, key: str, kinds: str, path: str | Path) -> No
 
 
 def one_number(array: npt.NDArray, key: str, path: str | Path) -> float:
-    """Return the only value of an array; raise a MotionFileError if there are several."""
+    """Return the only value of an array; raise a MotionFileError if it has several values."""
     check_kind(array, key, "fiu", path)
     if array.size != 1:
         raise MotionFileError(f"{path}: {key} has shape {array.shape}, expected one number")

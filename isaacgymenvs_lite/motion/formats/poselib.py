@@ -27,7 +27,7 @@ from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy
 
 _CLIP_TAG = "SkeletonMotion"
 _POSE_TAG = "SkeletonState"
-# The published files have this protocol, which stores module names as lines of text.
+# Pickle protocol of the published files; it stores module names as lines of text.
 _PICKLE_PROTOCOL = 3
 _NEW_MODULES, _OLD_MODULES = "numpy._core.", "numpy.core."
 
@@ -51,7 +51,7 @@ def clip_from_poselib(data: Any, name: str) -> MotionClip:
                 f"{name}: __name__ is {tag!r}{hint}, expected '{_CLIP_TAG}'; found the keys {found}"
             )
         tree, fps = _item(data, "skeleton_tree", name), _item(data, "fps", name)
-        if isinstance(fps, Mapping):  # IsaacGymEnvs' clips have a 0-d array
+        if isinstance(fps, Mapping):  # In IsaacGymEnvs' clips fps is a 0-d array.
             fps = fps["__ndarray__"]
         clip = MotionClip(
             name=name,
@@ -81,7 +81,7 @@ def _item(data: Mapping[str, Any], key: str, name: str) -> Any:
 
 
 def _array(data: Mapping[str, Any], key: str, name: str) -> npt.NDArray[Any]:
-    """Return the array `key`, stored as {arr, context: {dtype}}, converted to this dtype."""
+    """Return the array `key` with the stored dtype; the file has {arr, context: {dtype}}."""
     item = _item(data, key, name)
     stored = _item(item, "arr", name)
     if isinstance(stored, Mapping):
@@ -115,7 +115,7 @@ def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:
         global_angular_velocity=_tagged(clip.angular_velocity_w, "float32"),
         skeleton_tree=tree,
         is_local=True,
-        # poselib's scripts use fps as an index, and therefore need an int.
+        # fps must be an int, because poselib's scripts use fps as an index.
         fps=int(clip.fps) if float(clip.fps).is_integer() else float(clip.fps),
         __name__=_CLIP_TAG,
     )

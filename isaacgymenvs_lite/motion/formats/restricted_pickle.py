@@ -1,9 +1,9 @@
 """Reads pickled dictionaries of clips (`.npy`, `.pkl`) without running code from the file.
 
 A pickle can call any function by its name. This module maps the names that occur in clips to its
-own functions and classes, and refuses all other names. numpy's classes are replaced as well,
-because they trust the memory layout that a file describes. A joblib file is a pickle, possibly
-compressed, in which each array's description is followed by the array's bytes.
+own functions and classes, and refuses all other names. numpy's classes are also replaced, because
+they trust the memory layout that a file describes. A joblib file is a pickle, possibly compressed,
+in which the bytes of each array follow its description.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from isaacgymenvs_lite.motion.formats.files import reading
 
 _EXPECTED = "poselib clip (.npy of one pickled SkeletonMotion)"
 _OBJECT_DTYPE = "O8"
-# joblib files that are compressed by zlib or gzip begin with one of these bytes.
+# First bytes of joblib files that are compressed by zlib or gzip.
 _COMPRESSED, _ZLIB_OR_GZIP = (b"x", b"\x1f\x8b"), 32 + zlib.MAX_WBITS
 
 
@@ -91,13 +91,13 @@ class _Array:
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         _version, shape, dtype, is_fortran, content = state
         if dtype.name == _OBJECT_DTYPE and shape == ():
-            self.objects = content  # the outermost array of a .npy
+            self.objects = content  # The outermost array of a .npy contains objects.
         else:
             self.values = dtype.values(content).reshape(shape, order="F" if is_fortran else "C")
 
 
 class _JoblibArray(_Array):
-    """Replaces joblib's NumpyArrayWrapper, which the array's bytes follow in the file."""
+    """Replaces joblib's NumpyArrayWrapper; in the file, the array's bytes come after it."""
 
     stream: BinaryIO
 
@@ -117,7 +117,7 @@ class _Unpickler(pickle.Unpickler):
         super().__init__(stream)
         self._path = path
 
-        # A pickle can set attributes of functions, therefore each file gets new functions.
+        # New functions are made for each file, because a pickle can set attributes of functions.
         def scalar(dtype: _Dtype, content: bytes) -> float | str:
             return dtype.values(content).item()
 
@@ -125,7 +125,7 @@ class _Unpickler(pickle.Unpickler):
             content: bytes, dtype: _Dtype, shape: Any, order: Any, axes: Any = None
         ) -> npt.NDArray[Any]:
             values = dtype.values(content)
-            if order == "K":  # the array was transposed
+            if order == "K":  # The array was transposed before it was stored.
                 return values.reshape(shape).transpose(axes)
             return values.reshape(shape, order=order)
 

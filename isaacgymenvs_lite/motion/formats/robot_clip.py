@@ -10,8 +10,8 @@
 - MimicKit (xbpeng/MimicKit, mimickit/anim/motion.py): fps, loop_mode, frames (T, 6 + D). A frame
   consists of the root's position and rotation vector and the joint angles.
 - mjlab (src/mjlab/scripts/csv_to_npz.py) and HybridRobotics/whole_body_tracking
-  (scripts/csv_to_npz.py): fps, joint_pos, and body_pos_w and body_quat_w of all bodies with the
-  root first, mostly without names. mjlab's files have MuJoCo's joint order, and files of
+  (scripts/csv_to_npz.py): fps, joint_pos, body_pos_w and body_quat_w. The first body is the root;
+  most files have no names. mjlab's files have MuJoCo's joint order, and files of
   whole_body_tracking have Isaac Lab's joint order.
 - Isaac Lab's humanoid AMP task (isaaclab_tasks/direct/humanoid_amp/motions/motion_loader.py): fps,
   dof_names, dof_positions, body_names, body_positions, body_rotations.
@@ -59,7 +59,7 @@ _DICTIONARIES = (*PICKLES, ".npy")
 _SUFFIXES = (".csv", ".npz", *_DICTIONARIES)
 _FORMAT = "isaacgymenvs_lite.joint_clip"
 _EXPECTED = "clip of a robot"
-# The names of each array in the different formats; this project's name is first.
+# The names of each array in the different formats; the first name is this project's name.
 _POSITION = ("root_pos", "root_trans_offset", "root_trans", "root_translation", "root_position")
 _ROTATION = ("root_rot", "root_rotation", "root_quat")
 _JOINTS = ("dof_pos", "dof", "joint_pos", "dof_positions", "joint_positions", "joint_angles")
@@ -76,16 +76,15 @@ _FORMS = (
     "(MimicKit); joint_pos, body_pos_w, body_quat_w (mjlab); or dof_positions, body_positions, "
     "body_rotations (Isaac Lab); or a dictionary of these by motion"
 )
-# Two distances are equal within this tolerance, in single precision and up to 100 m from the
-# origin.
+# Tolerance for equal distances, which single precision needs up to 100 m from the origin.
 _SAME_DISTANCE_M = 1e-3
-# Bodies nearer to the root than this are not used to deduce the quaternion order.
+# Least distance from the root of bodies that are used to deduce the quaternion order.
 _MIN_ARM_M = 0.01
 _COMPARED_FRAMES = 256
 
 
 def looks_like_joint_clip(path: str | Path) -> bool:
-    """Return whether a file is a clip of a robot, which `read_joint_clip` reads.
+    """Return whether a file is a clip of a robot, so that `read_joint_clip` can read it.
 
     The result is False for a damaged file; the reader of humanoid clips then raises the error.
     """
@@ -106,7 +105,7 @@ def looks_like_joint_clip(path: str | Path) -> bool:
 
 
 def split_motion(name: str | Path) -> tuple[str, str]:
-    """Split `FILE:MOTION` into file and motion; the motion is "" if there is none."""
+    """Split `FILE:MOTION` into file and motion, which is "" if the argument contains no motion."""
     for suffix in _DICTIONARIES:
         file, colon, motion = str(name).partition(f"{suffix}:")
         if colon:
@@ -142,12 +141,12 @@ def read_joint_clips(
     Args:
         path: a `.csv`, `.npz`, `.pkl` or `.npy` file, see docs/motion_formats.md. `FILE:MOTION`
             selects one of several motions in a `.pkl` or `.npy` file.
-        fps: frames per second if the file has no frame rate. By default tables have 30, and tables
-            of BONES-SEED have 120.
+        fps: frames per second if the file has no frame rate. The default is 30 for tables, and 120
+            for tables of BONES-SEED.
         quat_order: order of quaternions in the file. None selects the default of the format, or the
             order that is deduced from the bodies.
         up_b: (3,) the root's up axis in the root's frame. A warning is logged if the root seems to
-            lie.
+            lie on its side or upside down.
         root_body: name of the robot's root in a file with body names. In other files, the root is
             the first body that is not MuJoCo's world.
 
@@ -177,9 +176,9 @@ def read_joint_clips(
 
 
 def _motions(path: Path, motion: str) -> dict[str, Mapping[str, Any]]:
-    """Return the motion `name`, or all motions if it is "".
+    """Return a dictionary from names to motions, with one motion if `motion` is not "".
 
-    If a file has only one motion, its name is "".
+    If a file has only one motion, the motion's name is "".
     """
     if path.suffix == ".npz":
         data: Any = read_arrays(path, _KEYS)
@@ -244,7 +243,7 @@ def _clip(
         rotation = rotations.exp_map_to_quat(turns, keep_long=True).numpy()
         return JointClip(name, fps, position, rotation, dof_pos, names, file_quat_order=None)
     angles = next(data[key] for key in _JOINTS if key in data)
-    if isinstance(angles, dict) and angles:  # keys are joint names
+    if isinstance(angles, dict) and angles:  # The keys are joint names.
         names = tuple(map(str, angles))
         dof_pos = np.stack([part([key], angles).ravel() for key in angles], axis=-1)
     else:
@@ -276,7 +275,7 @@ def _root_first(
     quaternions: FloatArray,
     clip_name: str,
 ) -> list[int]:
-    """Return the body ids without MuJoCo's world; the root is first."""
+    """Return the body ids without MuJoCo's world; the first id is the root's."""
     bodies = list(range(positions.shape[1]))
     if names is not None and root_body is not None:
         check_kind(np.asarray(names), _BODY_NAMES, "U", clip_name)
@@ -339,7 +338,7 @@ def _order_of_g1(body_pos_w: FloatArray, name: str) -> tuple[str, ...]:
 
 
 def save_robot_npz(path: str | Path, clip: JointClip) -> Path:
-    """Write a clip in this project's format; `.npz` is added if `path` does not end with it."""
+    """Write a clip in this project's format; `.npz` is added if `path` has another suffix."""
     clip.validate()
     arrays = {"root_pos": clip.root_pos, "root_rot": clip.root_rot, "dof_pos": clip.dof_pos}
     if clip.joint_names is not None:

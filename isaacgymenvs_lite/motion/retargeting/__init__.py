@@ -1,1 +1,1 @@
-"""Motion capture of other skeletons, brought onto the humanoid by inverse kinematics."""
+"""Retargets motion capture of other skeletons to the humanoid or a robot by inverse kinematics."""

@@ -31,8 +31,7 @@ from isaacgymenvs_lite.utils.optional_packages import import_package
 # messages.
 _COPY = "motion.bvh"
 _PLACE = re.compile(rf" in (file )?\S*{re.escape(_COPY)}")
-# A joint's position in its parent counts as constant if it changes by less than this share of the
-# longest bone.
+# Largest change of a joint position that counts as constant, as a share of the longest bone.
 _TOLERANCE = 0.01
 _JOINT = re.compile(r"^\s*(?:ROOT|JOINT)\s+(.*?)\s*\{?\s*$")
 _CHANNELS = re.compile(r"^\s*CHANNELS\s+\d+(.*)", re.IGNORECASE)
@@ -42,14 +41,14 @@ _ROTATIONS = ("Zrotation", "Yrotation", "Xrotation")
 
 @dataclass(frozen=True, eq=False)
 class BvhMotion:
-    """T frames of a skeleton with J joints, in the axes and the length unit of its file."""
+    """T frames of a skeleton with J joints, in the axes and the length unit of the BVH file."""
 
-    name: str  # the file
+    name: str  # path of the file
     fps: float  # frames per second
     joint_names: tuple[str, ...]  # J names; parents come first
     parent_indices: tuple[int, ...]  # J ids, -1 for the root
     offsets: FloatArray  # (J, 3), positions in the parents' frames (row 0 is not used)
-    turns: FloatArray  # (T, J, 4) xyzw, relative to the parents, and of the root in the world
+    turns: FloatArray  # (T, J, 4) xyzw, rotations relative to the parents (root: to the world)
     places: FloatArray  # (T, 3), world positions of the root
 
     def clip(self, to_z_up: FloatArray, unit_m: float) -> MotionClip:
@@ -68,7 +67,7 @@ class BvhMotion:
 
 @dataclass(frozen=True)
 class _Joint:
-    """A joint: id of its parent, index of its CHANNELS line (or -1), and columns by channel."""
+    """A joint's parent id, index of its CHANNELS line (or -1), and the column of each channel."""
 
     name: str
     parent: int
@@ -76,13 +75,13 @@ class _Joint:
     columns: Mapping[str, int] = field(default_factory=dict)
 
     def expected(self) -> tuple[str, ...]:
-        """Return the channels that pybvh expects: rotations, and for ROOT also positions."""
+        """Return the channels that pybvh expects, rotations and (only for ROOT) positions."""
         turns = tuple(channel for channel in self.columns if channel not in _POSITIONS)
         return (*(_POSITIONS if self.parent < 0 else ()), *(turns or _ROTATIONS))
 
 
 def bvh_hierarchy(path: str | Path) -> tuple[list[str], list[int]]:
-    """Return joint names and parent ids in a BVH file, without reading the frames."""
+    """Return joint names and parent ids in a BVH file; the frames are not read."""
     with reading(path, "BVH file"):
         joints = _joints(_lines(path))
     return [joint.name for joint in joints], [joint.parent for joint in joints]
@@ -97,7 +96,7 @@ def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
     pybvh = import_package("pybvh", "reading BVH files")
     with reading(path, "BVH file"):
         lines = _lines(path)
-        header = _joints(lines)  # pybvh cuts names at a space
+        header = _joints(lines)  # The names come from here, because pybvh cuts names at a space.
         names, parents = [joint.name for joint in header], [joint.parent for joint in header]
         lines, positions = _split_positions(lines, header)
         motion, root, wxyz = _parse(pybvh, "\n".join(lines))
@@ -158,7 +157,7 @@ def _joints(lines: Sequence[str]) -> list[_Joint]:
             joints[-1] = _Joint(joints[-1].name, joints[-1].parent, number, columns)
             column += len(channels)
         for brace in re.findall("[{}]", line):
-            if brace == "{":  # opens a joint or an end site
+            if brace == "{":  # A brace opens a joint or an end site.
                 open_joints.append(len(joints) - 1)
             elif len(open_joints) > 1:
                 open_joints.pop()
@@ -172,14 +171,14 @@ def _split_positions(
 ) -> tuple[list[str], dict[str, FloatArray]]:
     """Remove position channels of joints below ROOT; return the lines and the positions (T, 3).
 
-    Joints without rotation channels get zero rotations. Lines that are no BVH file are returned
-    unchanged, and pybvh then raises an error.
+    Joints without rotation channels get zero rotations. If the lines are not those of a BVH file,
+    they are returned unchanged, and pybvh then raises an error.
     """
     start = next((i for i, line in enumerate(lines) if line.strip() == "MOTION"), None)
     joints = [joint for joint in joints if joint.line >= 0]
     if start is None or all(set(joint.expected()) == set(joint.columns) for joint in joints):
         return lines, {}
-    first = start + 3  # after "Frames:" and "Frame Time:"
+    first = start + 3  # the line after "Frames:" and "Frame Time:"
     if not any(map(str.strip, lines[first:])):
         raise ValueError("there are no frames after 'MOTION', 'Frames:' and 'Frame Time:'")
     values = np.loadtxt(lines[first:], comments=None, ndmin=2)
@@ -201,11 +200,11 @@ def _split_positions(
 def _parse(pybvh: Any, text: str) -> tuple[Any, FloatArray, FloatArray]:
     """Return the motion that pybvh reads, root positions (T, 3) and rotations (T, J, 4) wxyz."""
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a file without frames is refused later
+        warnings.simplefilter("ignore")  # A file without frames is refused later.
         copy = Path(folder) / _COPY
         copy.write_text(text, encoding="utf-8")
         try:
-            # The up axis of the mapping is used instead.
+            # pybvh's up axis is ignored, because the mapping determines the up axis.
             motion = pybvh.read_bvh_file(copy, world_up="+y")
             return motion, *motion.to_quat()
         except ValueError as error:
@@ -219,7 +218,7 @@ def _places_in_parents(
     above: Sequence[str],
     path: str | Path,
 ) -> list[FloatArray]:
-    """Replace offsets (J, 3) in place by constant joint positions, where these are not zero.
+    """Replace offsets (J, 3) in place by the constant joint positions that are not zero.
 
     Only the joints `above`, from ROOT to the clip's root, may change their positions relative to
     their parents. Return the positions (T, 3) or (1, 3) of these joints except ROOT.

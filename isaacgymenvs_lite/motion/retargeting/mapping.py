@@ -24,8 +24,8 @@ from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.yaml_file import load_yaml
 
 AXES = tuple(f"{sign}{axis}" for sign in "+-" for axis in "xyz")
-# Bodies that get the rotation of their joint; the rotations of other bodies follow from joint
-# positions.
+# Bodies whose rotation is the rotation of their joint; joint positions determine the rotations of
+# all other bodies.
 WITH_ATTITUDE = ("pelvis", "torso", "head", "right_foot", "left_foot")
 
 
@@ -54,20 +54,20 @@ class BodySource:
     """The source joint of a body's motion."""
 
     joint: str  # name of a joint of the source skeleton
-    # (4,) xyzw, rotation of the body's frame relative to the joint's frame, or None if it is not
-    # used.
+    # (4,) xyzw, rotation of the body's frame relative to the joint's frame, or None if the body's
+    # rotation does not come from the joint.
     frame: FloatArray | None
-    level: bool  # whether the sole becomes parallel to the ground in contacts
+    level: bool  # whether the foot's sole becomes parallel to the ground in contacts
 
 
 @dataclass(frozen=True, eq=False)
 class SkeletonMapping:
     """A mapping from the joints of a source skeleton to the humanoid's bodies."""
 
-    name: str  # the file, or the name of a shipped mapping
-    up: str  # the file's up axis, one of `AXES`
-    unit_m: float  # the file's unit of length in m
-    sources: Mapping[str, BodySource]  # by the body names of the humanoid with 28 DOFs
+    name: str  # path of the mapping file, or the name of a shipped mapping
+    up: str  # up axis of the BVH file, one of `AXES`
+    unit_m: float  # unit of length of the BVH file in m
+    sources: Mapping[str, BodySource]  # from body names of the humanoid with 28 DOFs
 
     @property
     def to_z_up(self) -> FloatArray:
@@ -78,12 +78,12 @@ class SkeletonMapping:
 
 
 def shipped_mappings() -> dict[str, Path]:
-    """Return the files of the shipped mappings by name."""
+    """Return a dictionary from the names of the shipped mappings to the files."""
     return {path.stem: path for path in sorted((paths.assets_dir() / "retargeting").glob("*.yaml"))}
 
 
 def load_mapping(mapping: str | Path) -> SkeletonMapping:
-    """Read a mapping, given its file or a shipped name, or raise a ConfigError."""
+    """Read a mapping, whose file or shipped name is given, or raise a ConfigError."""
     with reading(mapping, "mapping file"):
         path, content = read_mapping_keys(mapping, shipped_mappings(), "up, unit_m and bodies")
         settings = read_section(_MappingSettings, content, where=str(path), complete=True)
@@ -101,7 +101,7 @@ def load_mapping(mapping: str | Path) -> SkeletonMapping:
 def read_mapping_keys(
     mapping: str | Path, shipped: Mapping[str, Path], expected: str
 ) -> tuple[Path, dict[Any, Any]]:
-    """Return the path and the content of a mapping file, given its path or a shipped name.
+    """Return the path and the content of a mapping file, whose path or shipped name is given.
 
     `expected` is the part of the error message that lists the keys.
     """

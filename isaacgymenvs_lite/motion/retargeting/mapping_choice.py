@@ -1,4 +1,4 @@
-"""Chooses the mappings of a retargeting by the user's argument or by the names of joints."""
+"""Chooses mappings for retargeting from the user's argument or from the names of joints."""
 
 from __future__ import annotations
 
@@ -47,29 +47,28 @@ from isaacgymenvs_lite.motion.retargeting.source import FEET, SIDES, leg_length,
 from isaacgymenvs_lite.utils import rotations
 
 _FRAMES = [(x, z) for x, z in itertools.product(AXES, AXES) if x[1] != z[1]]
-# Length of thigh and shin: of the smallest and tallest people (1.1 m and 2.2 m) and of an average
-# adult.
+# Lengths of thigh plus shin of people who are 1.1 m and 2.2 m tall, and of an average adult.
 _SHORTEST_LEG_M, _LONGEST_LEG_M, _USUAL_LEG_M = 0.45, 1.4, 0.85
-_UNITS_M = (1.0, 0.01, 0.001, 0.0254, 0.056444, 0.1, 0.3048)  # length units that BVH files have
+_UNITS_M = (1.0, 0.01, 0.001, 0.0254, 0.056444, 0.1, 0.3048)  # length units of BVH files
 _MAX_FRAMES = 1000
-# The constants from `_STANDS` to `_FOOT_UP` are least cosines of angles.
+# The constants from `_STANDS` to `_FOOT_UP` are lower limits for cosines of angles.
 _STANDS = 0.7  # between the direction from feet to head and the up axis
 _STRAIGHT = 0.8  # between trunk and legs in a rest pose
-_ALIGNED = 0.3  # between an axis of a joint and the axis of its body
-_FOOT_UP = -0.3  # between up axes of ankle and foot; feet tilt in crawls and dances
+_ALIGNED = 0.3  # between an axis of a joint and the axis of the joint's body
+_FOOT_UP = -0.3  # between the up axes of ankle and foot, because feet tilt in crawls and dances
 # The constants from `_BACKWARD` to `_GROUNDED` are measured in leg lengths.
-_BACKWARD = 0.03  # if knees bend backward farther, left and right are exchanged
+_BACKWARD = 0.03  # If knees bend backward by more than this, left and right are exchanged.
 _LOWEST_JOINT = 0.1  # height of the lowest joint above the ground
-_PREFERRED = 0.15  # the mapping's up axis is preferred by this margin
-_GROUNDED = 0.12  # limit for an axis that neither mapping nor rest pose has
+_PREFERRED = 0.15  # margin by which the mapping's up axis is preferred to another axis
+_GROUNDED = 0.12  # limit for an up axis that is neither the mapping's nor the rest pose's
 
 
 @dataclass(frozen=True, eq=False)
 class _Skeleton:
     """Poses of the mapped joints in T frames, in the axes and the length unit of the file."""
 
-    places: Mapping[str, FloatArray]  # (T, 3) by body, world position of its joint
-    turns: Mapping[str, FloatArray]  # (T, 4) xyzw by body, world rotation of its joint
+    places: Mapping[str, FloatArray]  # from bodies to world positions (T, 3) of their joints
+    turns: Mapping[str, FloatArray]  # from bodies to world rotations (T, 4) xyzw of their joints
 
     @classmethod
     def of(cls, motion: BvhMotion, mapping: SkeletonMapping, at_rest: bool = False) -> _Skeleton:
@@ -99,7 +98,7 @@ class _Skeleton:
         return _unit(self.places["left_thigh"] - self.places["right_thigh"])
 
     def axes_in_joint(self, body: str) -> tuple[FloatArray, FloatArray]:
-        """Return a body's mean left and up directions (3,) in the axes of its joint."""
+        """Return a body's mean left and up directions (3,) in the axes of the body's joint."""
         place = self.places
         if body in FEET:
             thigh, shin = (
@@ -117,7 +116,7 @@ class _Skeleton:
         return _unit(left.mean(dim=0).numpy()), _unit(up.mean(dim=0).numpy())
 
     def knees_bend_backward(self) -> bool:
-        """Return whether the knees bend backward, which shows that left and right are exchanged."""
+        """Return whether the knees bend backward because left and right are exchanged."""
         place = self.places
         forward = np.cross(self.left, place["head"] - place["pelvis"])
         bends = [
@@ -148,7 +147,7 @@ def check_fit(motion: BvhMotion, mapping: SkeletonMapping) -> None:
 
 
 def fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
-    """Correct up axis, length unit and joint axes of a mapping for a motion, and return it."""
+    """Return the mapping with corrected up axis, length unit and joint axes for a motion."""
     with reading(motion.name, "BVH file"):
         skeleton, rest_axis = _Skeleton.of(motion, mapping), _rest_axis(motion, mapping)
         found = mapping
@@ -190,10 +189,10 @@ def _problems(motion: BvhMotion, mapping: SkeletonMapping) -> str:
 def _up_axis(skeleton: _Skeleton, rest_axis: str, mapped: str) -> str:
     """Return the up axis of the file.
 
-    The axis that is nearest to the mean direction from feet to head is returned if it is also the
-    up axis of the mapping (`mapped`) or of the rest pose (`rest_axis`). Otherwise the body may lie,
-    crawl or stand on its hands, and the up axis is the axis along which the lowest joint stays at
-    the height of the ground.
+    The axis nearest to the mean direction from feet to head is returned if it equals the up axis of
+    the mapping (`mapped`) or of the rest pose (`rest_axis`). If it equals neither, the body may
+    lie, crawl or stand on its hands. Then the function returns the axis along which the lowest
+    joint stays at the height of the ground.
     """
     stands = _nearest_axis(skeleton.upward.mean(axis=0), _STANDS)
     if stands and stands in (mapped, rest_axis):
@@ -212,13 +211,13 @@ def _up_axis(skeleton: _Skeleton, rest_axis: str, mapped: str) -> str:
 
 
 def _nearest_axis(vector: FloatArray, least: float) -> str:
-    """Return the axis nearest to a vector (3,), or "" if its component there is below `least`."""
+    """Return the axis nearest to a vector (3,), or "" if all components are below `least`."""
     axis = max(AXES, key=lambda name: float(axis_vector(name) @ vector))
     return axis if axis_vector(axis) @ vector >= least else ""
 
 
 def _rest_axis(motion: BvhMotion, mapping: SkeletonMapping) -> str:
-    """Return the axis from feet to head in the rest pose, or "" if the rest pose does not stand."""
+    """Return the axis from feet to head in the rest pose, or "" if that pose is not upright."""
     rest = _Skeleton.of(motion, mapping, at_rest=True)
     pelvis, head = (rest.places[body][0] for body in ("pelvis", "head"))
     legs = pelvis - sum(rest.places[foot][0] for foot in FEET) / 2
@@ -227,9 +226,9 @@ def _rest_axis(motion: BvhMotion, mapping: SkeletonMapping) -> str:
 
 
 def _sources_at_rest(motion: BvhMotion, mapping: SkeletonMapping) -> dict[str, BodySource]:
-    """Return the body sources with joint axes from the rest pose, or {} if it does not stand.
+    """Return the body sources with joint axes from the rest pose, or {} if it is not upright.
 
-    If the legs are spread in the rest pose, shins are tilted; feet are then corrected by this tilt.
+    If the legs are spread in the rest pose, the feet are corrected by the tilt of the shins.
     """
     rest = _Skeleton.of(motion, mapping, at_rest=True)
     z, y = _rest_axis(motion, mapping), _nearest_axis(rest.left[0], _STRAIGHT)
@@ -248,9 +247,9 @@ def _sources_at_rest(motion: BvhMotion, mapping: SkeletonMapping) -> dict[str, B
 
 
 def _unit_m(skeleton: _Skeleton, mapped: float) -> float | None:
-    """Return a unit that gives the legs a human length, or None.
+    """Return a unit of length (m) with which the legs have a human length, or None.
 
-    The mapping's unit is preferred; other units are those that BVH files often have.
+    The mapping's unit is preferred to the frequent units of BVH files.
     """
     leg = leg_length(skeleton.places)
     units = [u for u in (mapped, *_UNITS_M) if _SHORTEST_LEG_M <= leg * u <= _LONGEST_LEG_M]
@@ -286,8 +285,8 @@ def _better_axes(
 
 _log = logging.getLogger(__name__)
 
-# These joints identify the skeletons of the shipped mappings. LAFAN1's skeleton has all joints of
-# CMU's mapping, but their axes differ.
+# Joints that identify the skeletons of the shipped mappings. LAFAN1's skeleton has all joints of
+# CMU's mapping, but the axes of the joints differ.
 _MARKS = {
     "cmu": {"LHipJoint", "RHipJoint", "LowerBack"},
     "lafan1": {"Spine2", "LeftToe", "RightToe"},
@@ -299,8 +298,8 @@ _HELPER = re.compile("twist|roll", re.IGNORECASE)
 def read_named_mappings(mapping: str) -> tuple[SkeletonMapping | None, RobotMapping | None]:
     """Read the user's mapping for the skeleton of a BVH file, for a robot, or for both.
 
-    `mapping` is a name of a shipped mapping or a YAML file, or two of them separated by a comma.
-    The kind of a file is recognised by its keys.
+    `mapping` is the name of a shipped mapping or a YAML file, or two such values separated by a
+    comma. The keys of a file show whether it is a mapping for a skeleton or for a robot.
     """
     skeleton: SkeletonMapping | None = None
     robot: RobotMapping | None = None
@@ -363,7 +362,7 @@ def recognise_skeleton(path: str | Path) -> SkeletonMapping:
 
 
 def _guess_joints(names: Sequence[str], parents: Sequence[int]) -> dict[str, str]:
-    """Guess the joint of each body from the names of feet, hands and head; {} if one is missing.
+    """Guess each body's joint from the names of feet, hands and head, or return {} on failure.
 
     A limb consists of a foot or hand and the two joints above it; twist helper joints are skipped.
     The pelvis is the lowest joint above both legs, and the torso the lowest joint above both arms.
@@ -390,7 +389,7 @@ def _guess_joints(names: Sequence[str], parents: Sequence[int]) -> dict[str, str
 
 
 def _first_named(names: Sequence[str], patterns: Sequence[str], side: str) -> int | None:
-    """Return the first joint for the first pattern that matches any joint, or None."""
+    """Return the first joint that matches the first pattern with a match, or None."""
     fitting = (
         i for pattern in patterns for i, name in enumerate(names) if names_body(name, pattern, side)
     )

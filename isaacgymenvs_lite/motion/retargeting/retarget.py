@@ -42,7 +42,7 @@ _log = logging.getLogger(__name__)
 KEY_BODIES = ("pelvis", "head", "right_hand", "left_hand", "right_foot", "left_foot")
 _ON_GROUND_M = 0.01  # a sole's points below this height should not move
 _AT_LIMIT_RAD = np.radians(0.1)
-# The goals of the feet are corrected this many times by the remaining errors of the soles.
+# Number of times that the goals of the feet are corrected by the remaining errors of the soles.
 _CORRECTIONS = 2
 # The first frame counts as a rest pose if a joint rotates by more than this angle between the first
 # two frames, and by more than this multiple of the median rotation between frames.
@@ -53,16 +53,16 @@ _JUMP_DEG, _JUMP_RATIO = 20.0, 5.0
 class RetargetReport:
     """The errors of a retargeted motion."""
 
-    scale: float  # the figure's leg length divided by the source's
-    # Mean and largest distance in m between each key body and its place in the scaled source
+    scale: float  # the figure's leg length divided by the source's leg length
+    # Mean and largest distance in m of each key body from the body's position in the scaled source
     # motion.
     errors_m: Mapping[str, tuple[float, float]]
     deepest_m: float  # largest depth of a sole below the ground, at least 0
-    # Median and largest horizontal speed of those points of the soles that touch the ground, or
-    # None if no point does.
+    # Median and largest horizontal speed of the soles' points that touch the ground, or None if no
+    # point touches the ground.
     slide_m_s: tuple[float, float] | None
-    # Share of the frames and name of the joint that is most often at its limit, or None if no joint
-    # ever is.
+    # Name of the joint that is most often at a limit, and the share of frames in which it is at the
+    # limit. The value is None if no joint reaches a limit.
     limited: tuple[float, str] | None
     fastest_rad_s: float  # the largest speed of a joint
 
@@ -134,7 +134,7 @@ def retarget_bvh(
     """Retarget the motion of a BVH file to a shipped humanoid, and log the remaining errors.
 
     The motion from `start_s` to `end_s` is resampled to `fps` and used. If `end_s` is None, the
-    motion is used to its end; if `fps` is None, the file's frame rate is kept.
+    motion is used to the last frame; if `fps` is None, the file's frame rate is kept.
     """
     source = load_bvh_source(path, mapping, start_s, end_s, fps)
     targets = make_targets(source, humanoid_figure(skeleton))
@@ -160,7 +160,7 @@ def load_bvh_source(
 ) -> SourceMotion:
     """Read the motion of a BVH file; `retarget_bvh` describes the arguments.
 
-    A warning is logged if the first frame is probably a rest pose, like in CMU's files.
+    A warning is logged if the first frame is probably a rest pose, as in CMU's files.
     """
     motion = read_bvh(path, [source.joint for source in mapping.sources.values()])
     check_fit(motion, mapping)
@@ -185,7 +185,7 @@ def _frame_to_frame_rad(clip: MotionClip) -> FloatArray:
 
 
 def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> RetargetReport:
-    """Return the errors of a humanoid's clip, compared with its targets."""
+    """Return the errors of a humanoid's clip relative to the targets."""
     positions, turns = clip.global_poses()
     missed = positions - targets.positions
     feet = [clip.body_names.index(foot) for foot in FEET]
@@ -225,8 +225,8 @@ def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
         feet = targets.positions[:, robot.figure.body_names.index(foot)]
         wanted.append(robot.figure.soles[foot].places(feet, targets.turns[foot]))
     for _ in range(_CORRECTIONS):
-        # If a foot has no ankle, or its ankle is at a limit, the foot cannot rotate like the
-        # source. The sole is then at a wrong place, although the foot's origin is at its goal.
+        # If a foot has no ankle, or an ankle at a limit, the foot cannot rotate like the source.
+        # Then the sole is at a wrong position, although the foot's origin is at the goal.
         goals, points, places = dict(problem.goals), robot.soles(qpos), robot.padded(wanted)
         for side, foot in enumerate(FEET):
             body = robot.mapping.bodies[foot].body
@@ -244,7 +244,7 @@ def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
 
 
 def _make_continuous(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> None:
-    """Change signs of quaternions in place: no jumps over time, and w >= 0 in the first frame."""
+    """Choose signs of quaternions in place, without jumps and with w >= 0 in the first frame."""
     for joint in range(model.njnt):
         kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
         if kind == mujoco.mjtJoint.mjJNT_HINGE:

@@ -1,4 +1,4 @@
-"""A robot as the target of retargeting: its limb lengths, its soles and its inverse kinematics."""
+"""Limb lengths, soles and inverse kinematics of a robot that is the target of retargeting."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from isaacgymenvs_lite.utils import rotations
 
 _START_POSES = ("home", "stand", "standing")
 _LEAD_IN = 30  # number of frames from the start pose to the first frame
-_STANDS = 0.4  # height of hips above feet in legs' lengths, at least, if a robot stands
+_STANDS = 0.4  # least height of a standing robot's hips above the feet, divided by the legs' length
 _LIMBS = (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand"))
 
 
@@ -48,15 +48,14 @@ _LIMBS = (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand"))
 class Robot:
     """A robot as the target of retargeting; `robot_from_model` creates it."""
 
-    model: mujoco.MjModel  # compiled; its first joint is a free root, others are hinges or balls
-    mapping: RobotMapping  # the robot's bodies by the humanoid's names
+    model: mujoco.MjModel  # compiled model with a free root; other joints are hinges or ball joints
+    mapping: RobotMapping  # from the humanoid's body names to the robot's bodies
     start: FloatArray  # (nq,), pose in which the robot stands upright
     figure: Figure  # lengths and soles of the robot, upright and facing +x
-    # (4,) xyzw, rotations of the bodies in the upright figure, by the humanoid's body names.
+    # From the humanoid's body names to rotations (4,) xyzw of the bodies in the upright figure.
     frames: dict[str, FloatArray]
-    hips: FloatArray  # (3,) m, from the pelvis' origin to the middle of the hips
-    # Ranges (rad) of the hinges that bend limbs, by joint id; a straight limb is outside of the
-    # range.
+    hips: FloatArray  # (3,) m, vector from the pelvis' origin to the middle of the hips
+    # From joint ids of the hinges that bend limbs to ranges (rad), which exclude straight limbs.
     bends: dict[int, tuple[float, float]]
     followers: Followers  # the joints that follow other joints
 
@@ -209,9 +208,9 @@ def _check(model: mujoco.MjModel, mapping: RobotMapping) -> None:
 def _bends(
     model: mujoco.MjModel, mapping: RobotMapping, start: FloatArray
 ) -> dict[int, tuple[float, float]]:
-    """Return the hinges that bend limbs (`find_bend`), with the allowed range of each in rad.
+    """Return the hinges that bend limbs (`find_bend`) and the allowed range (rad) of each hinge.
 
-    The angle at which the limb is straight divides a hinge's range; the larger side is allowed.
+    The angle at which the limb is straight divides a hinge's range; the larger part is allowed.
     """
     bends = {}
     for side in SIDES:
@@ -249,7 +248,7 @@ def _limits(robot: Robot) -> JointLimits:
 
 
 def _first_pose(robot: Robot, goals: dict[str, FloatArray]) -> FloatArray:
-    """Return the start pose, changed so that limbs are bent and the pelvis is at its first goal."""
+    """Return the start pose with bent limbs and with the pelvis at the pelvis' first goal."""
     qpos = robot.start.copy()
     for joint, (low, high) in robot.bends.items():
         near, far = (low, high) if abs(low) < abs(high) else (high, low)

@@ -1,4 +1,4 @@
-"""Mapping files, which assign a robot's bodies to the humanoid's, and guesses of such mappings.
+"""Reads mapping files, which assign robots' bodies to humanoid bodies, and guesses mappings.
 
 docs/motion_formats.md describes mapping files; the shipped files are in assets/retargeting/robots.
 """
@@ -31,7 +31,7 @@ from isaacgymenvs_lite.robots.start_pose import posed
 from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.utils import rotations
 
-_ANGLES = 91  # number of angles of a hinge that are tried
+_ANGLES = 91  # number of tried angles of a hinge
 _ASIDE = 0.1  # least distance of hands from the middle plane, in root heights
 _LEG, _ARM = ("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand")
 
@@ -39,11 +39,11 @@ _LEG, _ARM = ("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand")
 def find_bend(
     model: mujoco.MjModel, start: FloatArray, top: int, end: int
 ) -> tuple[int, FloatArray, FloatArray] | None:
-    """Find the hinge that bends a limb (its knee or elbow); return None if there is none.
+    """Find the knee or elbow that bends a limb, or return None if no hinge bends the limb.
 
-    The hinge that changes the distance between the bodies `top` and `end` most is chosen, while the
-    other joints stay in the pose `start` (nq,). Return the joint's id, angles (rad) over its range,
-    and the distances (m) at these angles.
+    With all other joints in the pose `start` (nq,), the chosen hinge changes the distance between
+    the bodies `top` and `end` most. Return the hinge's joint id, angles (rad) over the hinge's
+    range, and the distances (m) at these angles.
     """
     between = itertools.takewhile(lambda body: body != top, ancestors(model, end)[1:])
     names = [model.body(top).name, model.body(end).name]
@@ -61,11 +61,11 @@ def find_bend(
 
 
 def find_limbs(model: mujoco.MjModel, start: FloatArray) -> dict[str, int]:
-    """Return the body ids of a biped by the humanoid's names; {} if the robot is no biped.
+    """Return a dictionary from the humanoid's names to a biped's body ids, or {} without a biped.
 
-    Legs are the limbs whose last body is on the floor in the pose `start` (nq,). Arms are those
-    other limbs whose last bodies are farthest to the left and right. `find_bend` finds shins and
-    lower arms. The robot faces the x axis of its free root.
+    Legs are the limbs whose last body is on the floor in the pose `start` (nq,). Arms are the other
+    limbs whose last bodies are farthest to the left and right. `find_bend` finds shins and lower
+    arms. The robot must face along the x axis of its free root.
     """
     ends = [model.body(name).id for name in limb_ends(model, start)]
     grounded = {model.body_weldid[model.body(name).id] for name in touching_bodies(model, start)}
@@ -90,7 +90,7 @@ def _pair(
     parts: tuple[str, ...],
     aside_m: float,
 ) -> tuple[dict[str, int], int] | None:
-    """Return the links of the limbs that reach farthest to the left and right, and their parent.
+    """Return the links of the limbs that reach farthest left and right, and the limbs' parent.
 
     The parent is the lowest body that has joints and carries both limbs, or the root. `parts` are
     the names of a limb's three links. Return None if no pair of limbs reaches at least `aside_m`
@@ -126,7 +126,7 @@ def _pair(
 
 
 NEEDED = ("pelvis", *(f"{side}_{part}" for side in SIDES for part in ("thigh", "shin", "foot")))
-# The parent of each body by the humanoid's names; parents come first.
+# Maps the humanoid's body names to the names of the parents; parents come first.
 _PARENTS = {
     "torso": "pelvis",
     "head": "torso",
@@ -140,7 +140,7 @@ _PARENTS = {
     },
 }
 ROBOT_BODIES = ("pelvis", *_PARENTS)
-_OF_ARMS = ("lower_arm", "hand")  # are used only with their parents
+_OF_ARMS = ("lower_arm", "hand")  # bodies that are used only if their parents are found
 _MAX_WEIGHT = 1e3
 
 
@@ -176,15 +176,16 @@ class RobotBody:
 class RobotMapping:
     """A mapping from the humanoid's bodies to bodies of a robot."""
 
-    name: str  # the file, or the name of a shipped mapping
-    # The robot's bodies by the humanoid's names; parents come first. The names include `NEEDED`, or
-    # there are none, and `guess_robot_mapping` finds them.
+    name: str  # path of the mapping file, or the name of a shipped mapping
+    # From the humanoid's names to the robot's bodies; parents come first. The names include
+    # `NEEDED`, or the mapping is empty and `guess_robot_mapping` finds the bodies.
     bodies: Mapping[str, RobotBody]
     # Name of the keyframe in which the robot stands upright. "" selects the keyframe home, stand or
     # standing, or else the model's default pose.
     start_pose: str = ""
     fastest_rad_s: float = 20.0  # largest speed of hinges
-    # The root's quaternion xyzw in the start pose, for `motion.convert`; None leaves it unchanged.
+    # The root's quaternion xyzw in the start pose, for `motion.convert`. If it is None, the start
+    # pose is not changed.
     start_rotation: tuple[float, ...] | None = None
 
     def parent(self, name: str) -> str | None:
@@ -194,13 +195,13 @@ class RobotMapping:
 
 
 def shipped_robot_mappings() -> dict[str, Path]:
-    """Return the files of the shipped robot mappings by their names."""
+    """Return a dictionary from the names of the shipped robot mappings to the files."""
     folder = paths.assets_dir() / "retargeting" / "robots"
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
 def load_robot_mapping(mapping: str | Path) -> RobotMapping:
-    """Read a robot's mapping, given its file or a shipped name, or raise a ConfigError."""
+    """Read a robot's mapping, whose file or shipped name is given, or raise a ConfigError."""
     with reading(mapping, "mapping file"):
         path, content = read_mapping_keys(mapping, shipped_robot_mappings(), "bodies")
         settings = read_section(_RobotMappingSettings, content, where=str(path), complete=True)
@@ -244,8 +245,8 @@ def _robot_body(name: str, entry: Any, where: str) -> RobotBody:
     )
 
 
-# Patterns of body and joint names in files of robots, by the humanoid's names. The first pattern
-# with a match is used.
+# Maps the humanoid's names to patterns of body and joint names in files of robots. The first
+# pattern with a match is used.
 _WORDS = {
     "pelvis": ("pelvis", "hips", "waist_?base|base"),
     "torso": ("torso|chest|thorax", "trunk", "waist|spine|abdomen"),
@@ -267,7 +268,7 @@ _SIDES = {
 def guess_robot_mapping(
     model: mujoco.MjModel, start: FloatArray | None = None
 ) -> tuple[RobotMapping, str]:
-    """Guess a robot's mapping from the names of bodies, or from the joints if names do not match.
+    """Guess a robot's mapping from body names, or from the joints if no body names match.
 
     The robot stands in the pose `start` (nq,); None selects the model's default pose. Return the
     mapping, and a line of text that lists the bodies. Raises ConfigError with advice if a part of a
@@ -300,9 +301,9 @@ def guess_robot_mapping(
 def _plausible(model: mujoco.MjModel, found: Mapping[str, int]) -> dict[str, int]:
     """Remove contradictory matches, and return the others; parents come first.
 
-    A match is dropped if its body is already matched, if it is a lower arm or hand whose parent is
-    missing, or if its link is not below its parent's link (for example a quadruped's hind foot). A
-    foot without geoms is replaced by the link that carries it.
+    A match is dropped if its link is already matched, if it is a lower arm or hand whose parent is
+    missing, or if its link is not below the parent's link (for example a quadruped's hind foot). A
+    foot without geoms is replaced by the foot's parent link.
     """
     kept: dict[str, int] = {}
     for name, body in found.items():
@@ -336,7 +337,7 @@ def _guess(model: mujoco.MjModel, names: Mapping[int, str], name: str) -> int | 
 
 
 def names_body(text: str, pattern: str, side: str) -> bool:
-    """Return whether a name matches a body's pattern and side; the side is "" in the middle."""
+    """Return whether a name matches a body's pattern and side, which is "" for middle bodies."""
     lower = text.lower()
     if not re.search(pattern, lower) or _NOT.search(lower):
         return False

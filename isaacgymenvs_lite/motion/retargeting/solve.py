@@ -1,7 +1,7 @@
 """Inverse kinematics for all frames of a motion, with the library mink.
 
-mink limits only the angles of hinges. `DofLimits` also limits the three components of a ball
-joint's rotation vector, and the speed of hinges.
+mink limits only the angles of hinges. In addition, `DofLimits` limits the three components of a
+ball joint's rotation vector and the speed of hinges.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.optional_packages import import_package
 
-_SOLVER = "daqp"  # the quadratic programming solver that mink installs
+_SOLVER = "daqp"  # quadratic programming solver, which mink installs
 _FIRST_ITERATIONS, _ITERATIONS = 200, 20
 _CONVERGED_RAD = 1e-3  # iterations end at a step below this (rad, m)
 _DAMPING = 1e-4
-# Weights of positions (1/m) and rotations (1/rad), by the humanoid's body names without `left_` or
-# `right_`. Feet have the largest weights, then hands and pelvis, then shins and lower arms, whose
-# goals decide to which side a limb bends. The goal for the torso's position keeps a spine with
-# several joints from bending back when an arm is at its limit.
+# Maps the humanoid's body names without `left_` or `right_` to weights of positions (1/m) and
+# rotations (1/rad). Feet have the largest weights, then hands and pelvis. The goals of shins and
+# lower arms determine to which side a limb bends. Without the goal for the torso's position, a
+# spine with several joints bends back when an arm is at a joint limit.
 WEIGHTS = {
     "pelvis": (10.0, 3.0),
     "torso": (4.0, 3.0),
@@ -42,13 +42,13 @@ WEIGHTS = {
     "foot": (30.0, 3.0),
 }
 # Weights of the distance to the posture and of the distance to the last frame. The two weights
-# determine what the goals leave open, for example the twist of a straight arm.
+# determine what the goals do not determine, for example the twist of a straight arm.
 _POSTURE, _STEADINESS = 0.02, 0.2
-# The search starts with knees and elbows bent by this angle, so that the gradient points to the
-# side to which they bend.
+# Angle of knees and elbows at the start of the search, so that the gradient points to the side to
+# which a limb bends.
 FIRST_BEND_RAD = 0.5
-# Knees and elbows stay bent by at least this angle. The search gets stuck at a straight limb,
-# because a small bend does not change its length to first order.
+# Least angle of knees and elbows. The search gets stuck at a straight limb, because a small bend
+# does not change the length of the limb to first order.
 LEAST_BEND_RAD = math.radians(2.0)
 
 
@@ -56,9 +56,9 @@ LEAST_BEND_RAD = math.radians(2.0)
 class JointLimits:
     """Limits of the joints of a model."""
 
-    hinges: Mapping[int, tuple[float, float]]  # lowest and highest angle (rad) by joint id
-    # By joint id: lowest and highest components (3,) rad of the rotation vector, and the largest
-    # length of the vector in rad (MuJoCo's limit of a ball joint).
+    hinges: Mapping[int, tuple[float, float]]  # from joint ids to lowest and highest angles (rad)
+    # From joint ids to the lowest and the highest components (3,) rad of the rotation vector, and
+    # the largest length of the vector in rad (MuJoCo's limit of a ball joint).
     balls: Mapping[int, tuple[FloatArray, FloatArray, float]]
     fastest_rad_s: float = math.inf  # largest speed of a hinge
 
@@ -69,7 +69,7 @@ class IkProblem:
 
     model: mujoco.MjModel  # the compiled model
     fps: float  # frames per second
-    goals: Mapping[str, FloatArray]  # (T, 7) quaternion wxyz and position in m by body
+    goals: Mapping[str, FloatArray]  # from bodies to (T, 7), quaternion wxyz and position in m
     weights: Mapping[str, tuple[float, float]]  # position (1/m) and rotation (1/rad)
     first_pose: FloatArray  # (nq,), start of the search in the first frame
     posture: FloatArray  # (nq,), preferred pose if the goals leave a choice
@@ -81,14 +81,14 @@ def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
     """Return the poses (T, nq) within the joint limits that are nearest to the goals.
 
     The search in a frame starts from the pose of the last frame. Joints that are coupled to another
-    joint (`followers`) follow it exactly.
+    joint (`followers`) satisfy the coupling exactly.
     """
     mink = import_package("mink", "retargeting")
     model = problem.model
     configuration = mink.Configuration(model)
     configuration.update(problem.first_pose.copy())
     jointed = np.ones(model.nv)
-    jointed[:6] = 0.0  # the posture does not concern the root
+    jointed[:6] = 0.0  # The posture cost must not include the root.
     posture = mink.PostureTask(model, cost=_POSTURE * jointed)
     posture.set_target(problem.posture)
     steadiness = mink.PostureTask(model, cost=_STEADINESS * jointed)
@@ -137,8 +137,7 @@ def humanoid_problem(
     model: mujoco.MjModel, skeleton: Skeleton, targets: Targets, fps: float
 ) -> IkProblem:
     """Return the inverse kinematics problem of a shipped humanoid."""
-    # A rigid hand cannot rotate relative to its forearm, and therefore has no goal for its
-    # rotation.
+    # A rigid hand has no goal for its rotation, because it cannot rotate relative to the forearm.
     jointed = {skeleton.body_names[body] for body in (0, *skeleton.dof_body_ids)}
     weights = {
         body: (pair[0], pair[1] if body in jointed & set(targets.turns) else 0.0)
@@ -147,8 +146,8 @@ def humanoid_problem(
     }
     goals = {body: body_goals(skeleton.body_names, targets, body) for body in weights}
     limits = humanoid_limits(model, skeleton)
-    # The first pose is the zero pose with bent knees and elbows, and with the pelvis at its first
-    # goal.
+    # The first pose is the zero pose with bent knees and elbows, and with the pelvis at the pelvis'
+    # first goal.
     first_pose = model.qpos0.copy()
     first_pose[:7] = np.roll(goals["pelvis"][0], 3)
     for joint in limits.hinges:
@@ -175,7 +174,7 @@ def humanoid_limits(model: mujoco.MjModel, skeleton: Skeleton) -> JointLimits:
         if end - start == 3:
             balls[joint] = (lower[start:end], upper[start:end], math.inf)
         else:
-            # The limb is straight at a limit of 0.
+            # The limb is straight at the limit that is 0.
             low, high = float(lower[start]), float(upper[start])
             hinges[joint] = (low or LEAST_BEND_RAD, high or -LEAST_BEND_RAD)
     return JointLimits(hinges, balls)
@@ -195,7 +194,7 @@ class DofLimits:
         self._reach = math.inf
 
     def start_frame(self, last: FloatArray, time_s: float) -> None:
-        """Limit the speed of hinges, given the pose `last` (nq,) `time_s` earlier."""
+        """Limit the speed of hinges in a frame `time_s` after the pose `last` (nq,)."""
         self._last, self._reach = last[self._columns], self._limits.fastest_rad_s * time_s
 
     def compute_qp_inequalities(self, configuration: Any, dt: float) -> Any:
@@ -225,7 +224,7 @@ class DofLimits:
 
 
 def nearest_vector(quaternion: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the rotation vector (3,) rad of a quaternion wxyz that violates the limits least.
+    """Return the rotation vector (3,) rad of a quaternion wxyz with the least limit violation.
 
     A quaternion has several rotation vectors, because the angles a and a - 360 deg are the same
     rotation. An arm slightly beyond its limit of -180 deg must not be read as 180 deg.
@@ -240,7 +239,7 @@ def nearest_vector(quaternion: FloatArray, lower: FloatArray, upper: FloatArray)
 
 
 def vector_jacobian(vector: FloatArray) -> npt.NDArray[np.float64]:
-    """Return the derivative (3, 3) of a rotation vector to a small rotation in the child's frame.
+    """Return the derivative (3, 3) of a rotation vector with respect to a rotation of the child.
 
     The derivative is the inverse of the right Jacobian of SO(3).
     """

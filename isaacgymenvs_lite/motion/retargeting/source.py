@@ -1,4 +1,4 @@
-"""The source motion of a retargeting, and limb lengths and soles of the figure that imitates it."""
+"""The source motion, and limb lengths and soles of the figure that imitates the source motion."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ FEET = tuple(f"{side}_foot" for side in SIDES)
 class SourceMotion:
     """T frames of the source figure, not scaled; its bodies have the humanoid's names."""
 
-    name: str  # the clip or file
+    name: str  # name of the clip or path of the file
     fps: float  # frames per second
-    places: Mapping[str, FloatArray]  # (T, 3) m by body, world positions of origins, z up
-    # (T, 4) xyzw, world rotations by body, relative to the upright figure that faces +x. Limbs have
-    # no entry, because their rotations follow from positions.
+    places: Mapping[str, FloatArray]  # from bodies to world positions (T, 3) m of origins, z up
+    # From bodies to world rotations (T, 4) xyzw, relative to the upright figure that faces +x.
+    # Limbs have no rotation, because positions determine the rotations of limbs.
     turns: Mapping[str, FloatArray]
     levelled: tuple[str, ...] = ()  # feet whose soles shall become parallel to the ground
 
 
 def source_from_bvh(clip: MotionClip, mapping: SkeletonMapping) -> SourceMotion:
-    """Return the motion of a BVH file in m and with z up; the file has the mapping's joints."""
+    """Return the motion of a BVH file's clip, which must have all joints of the mapping."""
     everywhere, attitudes = clip.global_poses()
     index = {body: clip.body_names.index(s.joint) for body, s in mapping.sources.items()}
     return SourceMotion(
@@ -55,7 +55,7 @@ def source_from_bvh(clip: MotionClip, mapping: SkeletonMapping) -> SourceMotion:
 
 
 def source_from_clip(clip: MotionClip) -> SourceMotion:
-    """Return the source motion for a clip of a shipped humanoid; refuse other clips."""
+    """Return the source motion for a clip of a shipped humanoid, or raise an error."""
     if shipped_humanoid_with(clip.body_names) is None:
         raise MotionFileError(
             f"{clip.name}: no shipped humanoid has its {clip.num_bodies} bodies; give a clip of a "
@@ -69,7 +69,7 @@ def source_from_clip(clip: MotionClip) -> SourceMotion:
 
 
 def leg_length(places: Mapping[str, FloatArray]) -> float:
-    """Return the length of thigh and shin in m, the mean over both legs and all frames (T, 3)."""
+    """Return the length of thigh plus shin in m, averaged over both legs and all frames."""
     total = 0.0
     for side in SIDES:
         for upper, lower in (("thigh", "shin"), ("shin", "foot")):
@@ -92,7 +92,7 @@ def rotate(turns: FloatArray, vector: FloatArray) -> FloatArray:
 
 # Radii of the humanoid's hands and of its knees, which are the origins of the shins.
 _ROUND_M = {"right_hand": 0.04, "left_hand": 0.04, "right_shin": 0.05, "left_shin": 0.05}
-# A foot's points up to this height above its lowest point belong to the sole.
+# The sole consists of the points of a foot up to this height above the foot's lowest point.
 _SOLE_M = 0.015
 # A sole with more points is reduced to its outermost points in this many horizontal directions.
 _DIRECTIONS = 12
@@ -102,7 +102,7 @@ _ENDS = tuple(itertools.product((-1.0, 1.0), repeat=3))
 
 @dataclass(frozen=True, eq=False)
 class Sole:
-    """The parts of a foot that can touch the ground: balls and corners (balls of radius 0)."""
+    """The balls and corners (balls of radius 0) of a foot that can touch the ground."""
 
     points: FloatArray  # (K, 3) m, centres relative to the upright foot
     radii: FloatArray  # (K,) m
@@ -138,7 +138,7 @@ class Figure:
 
     @property
     def leg_length_m(self) -> float:
-        """The length of thigh and shin in m, averaged over both legs."""
+        """The length of thigh plus shin in m, averaged over both legs."""
         return leg_length(self.rest_places())
 
     def rest_places(self) -> dict[str, FloatArray]:
@@ -163,7 +163,7 @@ def humanoid_figure(skeleton: Skeleton) -> Figure:
 
 
 def round_bodies(figure_leg_m: float, names: tuple[str, ...]) -> dict[str, float]:
-    """Return the radii in m of a figure's hands and knees, which are proportional to its legs."""
+    """Return radii in m of a figure's hands and knees, in proportion to the leg length."""
     humanoid_leg_m = humanoid_figure(skeleton_for_num_dofs(28)).leg_length_m
     radii = _ROUND_M.items()
     return {body: m * figure_leg_m / humanoid_leg_m for body, m in radii if body in names}
@@ -208,7 +208,7 @@ def _points(
         local, radius = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]]), float(size[0])
     elif kind == _Geom.mjGEOM_MESH:
         local = mesh_vertices(model, geom).astype(np.float64)
-    else:  # corners of a geom's box
+    else:  # The points are the corners of the geom's box.
         half = (size[0], size[0], size[1]) if kind == _Geom.mjGEOM_CYLINDER else size
         local = np.array(_ENDS) * half
     return local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom], radius

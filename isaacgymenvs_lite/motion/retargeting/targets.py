@@ -1,4 +1,4 @@
-"""Target poses for a figure's bodies: the source motion with the figure's limb lengths."""
+"""Computes target poses for a figure's bodies from the source motion and the figure's lengths."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from isaacgymenvs_lite.utils import rotations
 
 Flags = npt.NDArray[np.bool_]  # True for points on the ground
 
-# A point of a sole touches the ground while its height (m) and speed (m/s) are below these.
+# Height (m) and speed (m/s) below which a point of a sole touches the ground.
 CONTACT_LOW_M, _SLOW_M_S = 0.02, 0.5
 _CLEARANCE = 0.12  # least height of a foot in the middle of a swing, in sole lengths
-_RISE_SHARE = 0.3  # the foot rises in this share of a swing
-_BLEND = 0.05  # two height curves are blended over this height, in sole lengths
+_RISE_SHARE = 0.3  # share of a swing in which the foot rises
+_BLEND = 0.05  # height over which two height curves are blended, in sole lengths
 _MOST_TWIST_RAD = np.radians(20.0)
-# Shorter contacts and shorter gaps between contacts are noise.
+# Contacts, and gaps between contacts, that are shorter than this are noise.
 _NOISE_S = 0.05
 # The weight of a sole's point falls by the factor e for every 5 mm above the lowest point.
 _RESTS_M = 0.005
@@ -41,7 +41,7 @@ def pin_feet(
     """Keep a foot still during contacts; return contacts (T, K) and foot poses (T, 3), (T, 4).
 
     The correction changes smoothly between contacts. `feet` (T, 3) m are the foot's positions, with
-    the ground at z = 0, and `turns` (T, 4) xyzw its rotations.
+    the ground at z = 0, and `turns` (T, 4) xyzw are the foot's rotations.
     """
     contact = find_contacts(sole.places(feet, turns), fps)
     touching = np.any(contact, axis=1)
@@ -50,7 +50,7 @@ def pin_feet(
     moved = _planted(points, contact)
     _bridge(moved, touching)
     least = _CLEARANCE * sole.length_m * swing_profile(touching) - points[..., 2].min(axis=1)
-    # The larger of the two heights is taken, with a smooth transition in a swing.
+    # The height of a foot is the larger of two heights, with a smooth transition in a swing.
     width = _BLEND * sole.length_m
     round_off = np.maximum(width - np.abs(moved[:, 2] - least), 0.0) ** 2 / (4.0 * width)
     moved[:, 2] = np.maximum(moved[:, 2], least) + np.where(~touching, round_off, 0.0)
@@ -58,9 +58,9 @@ def pin_feet(
 
 
 def _untwisted(sole: Sole, feet: FloatArray, turns: FloatArray, contact: Flags) -> FloatArray:
-    """Remove rotation about z during contacts from a foot's rotations (T, 4), and return them.
+    """Return a foot's rotations (T, 4) without rotation about z during contacts.
 
-    If a foot rotates far on the ground, for example in a dance, its rotations are unchanged.
+    If a foot rotates far on the ground, for example in a dance, the rotations do not change.
     """
     points = sole.places(feet, turns)[..., :2]
     touching = np.any(contact, axis=1)
@@ -82,7 +82,7 @@ def _untwisted(sole: Sole, feet: FloatArray, turns: FloatArray, contact: Flags) 
 def _twist(before: FloatArray, after: FloatArray) -> float:
     """Return the angle in rad that best rotates one set of points (K, 2) into the other.
 
-    For a single point it is 0.
+    For a single point the angle is 0.
     """
     if len(before) < 2:
         return 0.0
@@ -94,8 +94,8 @@ def _twist(before: FloatArray, after: FloatArray) -> float:
 def swing_profile(touching: Flags) -> FloatArray:
     """Return a smooth curve (T,) that is 0 in contacts and 1 in the middle of each swing.
 
-    In a swing with which the motion begins or ends, the curve is 1 from there to the swing's
-    middle.
+    If the motion begins or ends in a swing, the curve is 1 from the first or last frame to the
+    middle of this swing.
     """
     profile = np.zeros(len(touching))
     for start, end in spans(~touching):
@@ -114,9 +114,9 @@ def _smoothed(share: FloatArray) -> FloatArray:
 def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
     """Return the height (T,) m by which the root must rise, so that feet are on the ground.
 
-    In each frame, the lowest point in contact comes to z = 0. The height changes smoothly between
-    contacts, and no point stays below the ground. `points` (T, ..., 3) m are the points of all
-    soles, and `contact` (T, ...) marks points in contact.
+    In each frame, the lowest point in contact is moved to z = 0. The height changes smoothly
+    between contacts, and no point stays below the ground. `points` (T, ..., 3) m are the points of
+    all soles, and `contact` (T, ...) marks points in contact.
     """
     heights = np.where(contact, points[..., 2], np.inf).reshape(len(points), -1).min(axis=1)
     touching = np.isfinite(heights)
@@ -127,7 +127,7 @@ def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
 
 
 def replanted(points: FloatArray, wanted: FloatArray, contact: Flags) -> FloatArray:
-    """Return the shift (T, 3) m of a foot that keeps it near `wanted` and still during contacts.
+    """Return the shift (T, 3) m that keeps a foot near `wanted`, and still during contacts.
 
     The shift changes smoothly between contacts. `points` and `wanted` (T, K, 3) m are the current
     and the desired points of the sole; `contact` (T, K) marks points in contact.
@@ -163,8 +163,8 @@ def _planted(points: FloatArray, contact: Flags) -> FloatArray:
 def _resting(heights: FloatArray, contact: Flags) -> FloatArray:
     """Return weights (T, K) of a foot's points, whose sum is 1 in contacts and otherwise 0.
 
-    The weight of a point falls smoothly with its height above the lowest point in contact, because
-    higher points move while the foot rolls over its heel or toes.
+    The weight of a point falls smoothly with the point's height above the lowest point in contact,
+    because higher points move while the foot rolls over the heel or the toes.
     """
     above = heights - np.where(contact, heights, np.inf).min(axis=1, keepdims=True)
     weights = np.where(contact, np.exp(-np.where(contact, above, 0.0) / _RESTS_M), 0.0)
@@ -172,7 +172,7 @@ def _resting(heights: FloatArray, contact: Flags) -> FloatArray:
 
 
 def find_contacts(points: FloatArray, fps: float) -> Flags:
-    """Return (T, K) bool, whether each of the points (T, K, 3) m touches the ground z = 0."""
+    """Return a mask (T, K) of the points (T, K, 3) m that touch the ground z = 0."""
     speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1) * fps
     contact = (points[..., 2] < CONTACT_LOW_M) & (speed < _SLOW_M_S)
     longest = round(_NOISE_S * fps)
@@ -207,20 +207,20 @@ def _bridge(values: FloatArray, known: Flags) -> None:
 
 _log = logging.getLogger(__name__)
 
-# The direction of these bodies from their parents comes from the source, and their distance from
-# the figure.
+# Bodies whose direction from the parent is the source's and whose distance from the parent is the
+# figure's.
 _LIMBS = ("lower_arm", "hand", "shin")
-# A foot is on the ground while its joint is near its lowest height and slower than this.
+# A foot is on the ground while the foot's joint is near its lowest height and slower than this.
 _CONTACT_SPEED = 0.2  # m/s
 _CONTACT_HEIGHT_M = 0.01
 _FEWEST_CONTACT_FRAMES = 5
 # A tilt of the sole above this angle is part of the motion; a smaller tilt is an error of the rig.
 _MOST_LEVELLING_RAD = np.radians(15.0)
-# In this share of the frames, points may be below the ground because of noise.
+# Share of the frames in which points may be below the ground because of noise.
 _BELOW_GROUND_SHARE = 0.02
-# A sole is level if the heights of its points differ by less than this share of its length.
+# Largest difference of the heights of a level sole's points, as a share of the sole's length.
 _LEVEL = 0.1
-# Toes may be this deep below the ground while a foot rolls over them, in sole lengths.
+# Largest depth of toes below the ground while a foot rolls over the toes, in sole lengths.
 _DEEPEST = 0.5
 
 
@@ -228,12 +228,12 @@ _DEEPEST = 0.5
 class Targets:
     """Target poses of J bodies in T frames, in world axes."""
 
-    # (T, J, 3) m, origins of the bodies. Limbs have the figure's lengths and the source's
+    # (T, J, 3) m, origins of the bodies. Limbs have the figure's lengths and the source motion's
     # directions. Positions of pelvis and feet are scaled by the ratio of the leg lengths.
     positions: FloatArray
-    turns: dict[str, FloatArray]  # (T, 4) xyzw by body, if the body has a target rotation
-    scale: float  # the figure's leg length divided by the source's
-    contacts: dict[str, Flags]  # (T, K) by foot, whether points of the sole are on the ground
+    turns: dict[str, FloatArray]  # from bodies to target rotations (T, 4) xyzw, if they have any
+    scale: float  # the figure's leg length divided by the source's leg length
+    contacts: dict[str, Flags]  # from feet to masks (T, K) of the sole's points on the ground
 
 
 def make_targets(source: SourceMotion, figure: Figure) -> Targets:
@@ -278,9 +278,9 @@ def _ground_of_level_soles(
 ) -> float:
     """Return the height (m) of resting soles above `ground`, or 0 if this height is small.
 
-    If the figure's soles are longer than the source's, toes go below the ground while a foot rolls
-    over them, and the lowest points are not the ground. Soles that are level and slow are on the
-    real ground.
+    If the figure's soles are longer than the source's soles, the toes are below the ground while a
+    foot rolls over the toes, and the lowest points are not on the ground. Soles that are level and
+    slow are on the ground.
     """
     heights = []
     for foot in FEET:
@@ -305,7 +305,7 @@ def _widen_stance(
 ) -> None:
     """Move the feet apart by the difference of hip widths between the figure and the scaled source.
 
-    The directions of the legs do not change. A foot is moved along its own left axis, which is
+    The directions of the legs do not change. A foot is moved along the foot's left axis, which is
     constant while the foot stands.
     """
     rest = figure.rest_places()
@@ -324,7 +324,7 @@ def _add_other_bodies(
 ) -> None:
     """Add the target positions of trunk and limbs, from the pelvis outwards.
 
-    Bodies that are not in the source (sword and shield) get the position of their parent.
+    Bodies that are not in the source (sword and shield) have the positions of their parents.
     """
     places = source.places
     for i, body in enumerate(figure.body_names):
@@ -346,8 +346,8 @@ def _add_other_bodies(
 def _levelled(turns: FloatArray, places: FloatArray, fps: float, foot: str) -> FloatArray:
     """Return the rotations (T, 4) of a foot, corrected so that its sole is flat during contacts.
 
-    The frame of a foot differs between rigs. The foot's up axis is the median over the frames in
-    which the foot is on the ground.
+    The foot's frame differs among skeletons. Therefore the foot's up axis is the median over the
+    frames in which the foot is on the ground.
     """
     speed = np.linalg.norm(np.gradient(places, axis=0), axis=1) * fps
     low = places[:, 2] < np.quantile(places[:, 2], 0.05) + _CONTACT_HEIGHT_M

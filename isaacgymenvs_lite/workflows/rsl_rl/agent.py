@@ -1,5 +1,5 @@
 # pyright: reportMissingImports=false
-"""PPO of rsl_rl on a task; the critic gets the states of asymmetric tasks."""
+"""PPO of rsl_rl on a task; the critic receives the states if the task has states."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from isaacgymenvs_lite.wrappers.rsl_rl_env import ACTOR_GROUP, CRITIC_GROUP, Rsl
 
 log = logging.getLogger(__name__)
 
-# Arguments that could name code.
+# Arguments of rsl_rl's classes that an agent file must not set, because they could name code.
 _RESERVED = ("rnd_cfg", "symmetry_cfg", "multi_gpu_cfg", "distribution_cfg")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RslRlSettings(library.AgentSettings):
-    """An agent file."""
+    """The content of an agent file for rsl_rl."""
 
     num_steps_per_env: int = setting(minimum=1)
     algorithm: dict[str, Any] = setting()
@@ -38,13 +38,13 @@ class RslRlSettings(library.AgentSettings):
     critic: dict[str, Any] = setting()
     """Arguments of MLPModel."""
     distribution: dict[str, Any] = setting()
-    """Arguments of GaussianDistribution, of the actor."""
+    """Arguments of the actor's GaussianDistribution."""
 
 
 class Agent(library.Agent):
-    """The on-policy runner with PPO and two networks; checkpoints are `model_<iteration>.pt`.
+    """rsl_rl's on-policy runner with PPO and two networks, and checkpoints `model_<iteration>.pt`.
 
-    The seed is not read, as the generators are seeded already.
+    The argument `seed` is ignored, because the random generators are already seeded.
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:

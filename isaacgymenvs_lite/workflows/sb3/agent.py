@@ -1,7 +1,7 @@
 # pyright: reportMissingImports=false
-"""PPO of Stable-Baselines3 on a task, with agent files of ours and of Isaac Lab.
+"""PPO of Stable-Baselines3 on a task, with our agent files or Isaac Lab's agent files.
 
-A user can load the statistics of a normalised environment without the agent:
+A user can load the statistics of a normalised environment without loading the agent:
 
     env = VecNormalize(Sb3VecEnvWrapper(task))
     load_statistics(env, "logs/sb3/Ant/<date>/model.npz")
@@ -34,51 +34,51 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.workflows import library
 from isaacgymenvs_lite.wrappers.sb3 import Sb3VecEnvWrapper, process_sb3_cfg, read_schedules
 
-# Arguments that could name code or files.
+# Arguments of PPO that an agent file must not set, because they could name code or files.
 _RESERVED = ("tensorboard_log", "rollout_buffer_class", "rollout_buffer_kwargs")
 _RESERVED_POLICY = ("features_extractor_class", "features_extractor_kwargs", "optimizer_class")
 _OWN_KEYS = ("checkpoint_interval", "seed", "batch_size")
-_N_STEPS = 2048  # default of PPO
+_N_STEPS = 2048  # PPO's default
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sb3Settings(library.AgentSettings):
-    """An agent file."""
+    """The content of an agent file for Stable-Baselines3."""
 
     minibatches: int | None = setting(None, minimum=1)
-    """Minibatches of an epoch."""
+    """Number of minibatches in an epoch."""
     batch_size: int | None = setting(None, minimum=2)
-    """Rows of a minibatch, in place of `minibatches`."""
+    """Number of rows in a minibatch, which can replace `minibatches`."""
     ppo: dict[str, Any] = setting()
     """Arguments of PPO."""
     policy: dict[str, Any] = setting()
-    """Arguments of ActorCriticPolicy, the activation by name."""
+    """Arguments of ActorCriticPolicy; the activation is the name of a class."""
     vec_normalize: dict[str, Any] | None = setting(None)
-    """Arguments of VecNormalize; None for none."""
+    """Arguments of VecNormalize, or None to use no VecNormalize."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlatSettings:
-    """The keys of Isaac Lab's agent files that are no arguments of PPO."""
+    """The keys of Isaac Lab's agent files that are not arguments of PPO."""
 
     policy: str = setting("MlpPolicy", choices=("MlpPolicy",))
     n_timesteps: float = setting(1.0, minimum=1, maximum=1e15)
-    """Frames of all environments."""
+    """Number of control steps, summed over all environments."""
     max_iterations: int | None = setting(None, minimum=1)
-    """Replaces `n_timesteps`."""
+    """Number of iterations, which replaces `n_timesteps`."""
     normalize_input: bool = setting(False)
     normalize_value: bool = setting(False)
     clip_obs: float = setting(100.0)
     policy_kwargs: Any = setting(None)
     device: Any = setting(None)
-    """Has no effect: rl_device= says where the networks are."""
+    """A key without effect, because rl_device= determines the device of the networks."""
 
 
 class Agent(library.Agent):
     """PPO, with `VecNormalize` around the environment if the agent file has `vec_normalize`.
 
-    Checkpoints are `checkpoints/model_<steps>.zip` and at the end `model.zip`, for `PPO.load`, each
-    with the normalisers' statistics in a `.npz` of the same name.
+    The checkpoints are `checkpoints/model_<steps>.zip`, and `model.zip` at the end of the training;
+    `PPO.load` can read them. A `.npz` file of the same name contains the normalisers' statistics.
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
@@ -131,7 +131,7 @@ class Agent(library.Agent):
         self._save(folder / "model.zip")
 
     def save(self, folder: Path) -> Path:
-        """See `library.Agent`; also writes the statistics of a normalised environment, `.npz`."""
+        """Write a checkpoint, and the statistics of a normalised environment; return the path."""
         path = folder / "checkpoints" / f"model_{self.model.num_timesteps}.zip"
         path.parent.mkdir(exist_ok=True)
         self._save(path)
@@ -145,7 +145,7 @@ class Agent(library.Agent):
     def load(self, checkpoint: Path) -> None:
         """See `library.Agent`."""
         with library.loading(checkpoint, "sb3"):
-            # load_data=False: the data would be unpickled.
+            # load_data is False, because Stable-Baselines3 unpickles the data.
             found = load_from_zip_file(checkpoint, load_data=False, device=self.model.device)
             self.model.set_parameters(found[1], exact_match=True)
         if self.normalizer is not None:
@@ -159,7 +159,7 @@ class Agent(library.Agent):
 
 
 def to_sections(content: Mapping[str, Any], num_envs: int) -> dict[str, Any]:
-    """Return Isaac Lab's agent file, whose keys are in one section, in the sections of ours."""
+    """Convert Isaac Lab's agent file, which has one section, to the sections of our agent files."""
     ppo = {"batch_size": 64, "n_steps": _N_STEPS} | process_sb3_cfg(content, num_envs)
     flat = read_keys(FlatSettings, ppo, "agent")
     policy = dict(flat.policy_kwargs or {})
@@ -187,13 +187,13 @@ def to_sections(content: Mapping[str, Any], num_envs: int) -> dict[str, Any]:
 def save_statistics(normalizer: VecNormalize, file: str | Path) -> None:
     """Write mean, variance and count of observations and returns to an `.npz` file.
 
-    `VecNormalize.save` pickles the object, and reading a pickle can run code.
+    This function replaces `VecNormalize.save`, whose files are pickles and can run code when read.
     """
     np.savez(Path(file), **{name: getattr(*place) for name, place in _moments(normalizer).items()})
 
 
 def load_statistics(normalizer: VecNormalize, file: str | Path) -> None:
-    """Load statistics from a file, without running code from it."""
+    """Load statistics from a file; run no code from the file."""
     with library.loading(file, "sb3"), np.load(file, allow_pickle=False) as saved:
         for name, (moments, part) in _moments(normalizer).items():
             value, shape = saved[name], np.shape(getattr(moments, part))
@@ -203,7 +203,7 @@ def load_statistics(normalizer: VecNormalize, file: str | Path) -> None:
 
 
 def _moments(normalizer: VecNormalize) -> dict[str, tuple[Any, str]]:
-    """Return name in the file -> object and attribute."""
+    """Map each array's name in the file to the object and attribute that contain the array."""
     moments: dict[str, Any] = {"ret": normalizer.ret_rms}
     if normalizer.norm_obs:
         moments["obs"] = normalizer.obs_rms

@@ -25,17 +25,17 @@ from isaacgymenvs_lite.wrappers.skrl_env import SkrlVecEnvWrapper
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkSettings:
-    """The section `network`: of policy and critic, which share no layers."""
+    """The section `network`, for the policy and the critic, which share no layers."""
 
     units: tuple[int, ...] = setting(minimum=1)
-    """Units of the hidden layers."""
+    """Number of units in each hidden layer."""
     activation: str = setting("elu")
     initial_log_std: float = setting(0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SkrlSettings(library.AgentSettings):
-    """An agent file."""
+    """The content of an agent file for skrl."""
 
     ppo: dict[str, Any] = setting()
     """Keys of PPO_CFG."""
@@ -44,13 +44,13 @@ class SkrlSettings(library.AgentSettings):
     normalize_values: bool = setting(False)
     reward_scale: float = setting(1.0)
     target_kl: float | None = setting(None, above=0)
-    """KL divergence that the learning rate is adapted to; None: a constant learning rate."""
+    """KL divergence to which the learning rate is adapted, or None for a constant learning rate."""
 
 
 class Agent(library.Agent):
     """PPO with a Gaussian policy; checkpoints are `checkpoints/agent_<steps>.pt`.
 
-    The seed is not read, as the generators are seeded already.
+    The argument `seed` is ignored, because the random generators are already seeded.
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
@@ -140,7 +140,7 @@ class Agent(library.Agent):
 
 
 def mlp(inputs: int, units: Sequence[int], outputs: int, activation: type[nn.Module]) -> nn.Module:
-    """Return linear layers with an activation after each but the last."""
+    """Return linear layers, with an activation between each layer and the next."""
     layers: list[nn.Module] = []
     for size in units:
         layers += [nn.Linear(inputs, size), activation()]
@@ -149,7 +149,7 @@ def mlp(inputs: int, units: Sequence[int], outputs: int, activation: type[nn.Mod
 
 
 class GaussianPolicy(GaussianMixin, Model):
-    """Mean actions (n, A) of observations (n, F), and one learned log standard deviation each."""
+    """Maps observations (n, F) to mean actions (n, A); learns a log standard deviation (A,)."""
 
     def __init__(
         self,
@@ -169,7 +169,7 @@ class GaussianPolicy(GaussianMixin, Model):
 
 
 class Critic(DeterministicMixin, Model):
-    """Values (n, 1) of states (n, S), or of observations (n, F) of a task without states."""
+    """Maps states (n, S), or observations (n, F) if a task has no states, to values (n, 1)."""
 
     def __init__(self, units: Sequence[int], activation: type[nn.Module], **spaces: Any) -> None:
         Model.__init__(self, **spaces)
