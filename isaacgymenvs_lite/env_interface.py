@@ -197,7 +197,7 @@ class GoalEnv(Env, Protocol):
 
 
 class BodyStates(Protocol):
-    """The members of a task's `simulation` that measurements read; B bodies, positions in m."""
+    """The members of `simulation` that measurements use; there are B bodies, positions are in m."""
 
     body_names: Any
     """B names."""

@@ -553,9 +553,8 @@ def _measurement_observer(
 def _stored_config(launch: _Launch) -> DictConfig:
     """Return the tree for config.yaml, with the drawn seed and without `resume`.
 
-    Interpolations of the command line that read something else than the configuration
-    (`${oc.env:X}`) are replaced by their results, because a file with such interpolations is
-    refused.
+    Interpolations that read anything other than the configuration, for example `${oc.env:X}`, are
+    replaced by their values. A config.yaml that contains them would be refused when it is read.
     """
     cfg = launch.cfg.copy()
     for path, text in leaves(OmegaConf.to_container(cfg, resolve=False)):

@@ -67,7 +67,7 @@ def register_resolvers() -> None:
 
 
 def register_for(script: str) -> None:
-    """Register the functions of this module, except those that the text of a script registers.
+    """Register these functions as resolvers, except those that the code `script` registers itself.
 
     OmegaConf refuses the second registration of a name.
     """

@@ -118,7 +118,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if self._amp.disc_mismatched_demos > 0.0 and not self._disc_is_conditional:
             raise ConfigError(
                 "train.params.config.disc_mismatched_demos: only a discriminator that receives"
-                " latents can use mismatched ones; set it to 0, or"
+                " latents can use mismatched demos; set this key to 0, or"
                 " train.params.network.disc.conditional=True"
             )
         self._needs_pairs = self._amp.encodes_clips or self._disc_is_conditional

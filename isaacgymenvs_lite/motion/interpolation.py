@@ -97,10 +97,10 @@ class PoseSplines(Frames):
     """Cubic splines through the poses. The derivatives of the splines are the velocities.
 
     The splines interpolate the root position, the hinge angles, and the quaternions of the root and
-    the ball joints. The quaternions are then normalised. The splines' end condition "not-a-knot"
-    assumes no velocity. Forward kinematics of the robot's model places the bodies. Before the start
-    of a clip, the pose is extrapolated with the first velocity. After the end of a clip, the last
-    state is kept.
+    the ball joints. The quaternions are then normalised. The splines' end condition is
+    "not-a-knot", which does not prescribe a velocity. Forward kinematics of the robot's model
+    places the bodies. Before the start of a clip, the pose is extrapolated with the first velocity.
+    After the end of a clip, the last state is kept.
     """
 
     def __init__(

@@ -130,7 +130,7 @@ class Skeleton:
 
     @classmethod
     def from_model(cls, model: mujoco.MjModel, name: str = "the model") -> Skeleton:
-        """Read the skeleton of a compiled model without the objects outside the robot's tree.
+        """Read the robot's skeleton from a compiled model; objects are ignored.
 
         Raises ConfigError if the first joint is not the free joint of a root, or if the robot has a
         slide joint or a loop. Messages contain `name`.

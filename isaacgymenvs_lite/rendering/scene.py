@@ -96,9 +96,8 @@ _MAX_EXTENT = 0.7
 _SHADOW_HALF_WIDTH = 4.2
 # Height of the light above the camera's target, as a multiple of the camera's distance.
 _LIGHT_ABOVE = 0.45
-# Width of the shadow map in texels, samples per pixel, faces around a sphere, and faces along a
-# sphere. The default values (4096, 4, 28 and 16) would take most of the time of rendering in
-# software.
+# In this order: texels along the shadow map, samples per pixel, faces around a sphere, faces along
+# a sphere. Software rendering would spend most of its time on the default values (4096, 4, 28, 16).
 _FAST_SHADOW_SIZE, _FAST_SAMPLES, _FAST_FACES = 1024, 0, (16, 8)
 _FLOOR_STEP_M = 10.0
 # Distances in pixels of a label's left edge from the left and of its base line from the top. They

@@ -38,9 +38,9 @@ MIN_GROWTH, MIN_IMPROVEMENT = 1.1, 0.02
 # learned had a share of 0.07 and more.
 NO_REWARD = 0.02
 BAD_POSE_ERROR_M = 0.1
-# `motion_shown` is at most 0.1 for a standing policy and was 0.16 to 0.24 for policies that stood
-# between attempts. For policies that still learned to move and seldom fell, `motion_shown` was 0.4
-# and more.
+# `motion_shown` is at most 0.1 for a policy that only stands. It was 0.16 to 0.24 for policies that
+# stood still between attempts to move. For policies that still learned to move and seldom fell,
+# `motion_shown` was 0.4 and more.
 STANDING_SHOWN = 0.3
 # A clip with a smaller spread counts as still; walk and run have 0.07 to 0.11 m.
 MIN_CLIP_SPREAD_M = 0.02

@@ -66,7 +66,7 @@ def run_job(run: Callable[..., float | None], parent: int) -> float | None:
         if the direction is `maximize`.
 
     Raises:
-        KeyboardInterrupt: the user has ended the sweep, and the sweep runs in this process.
+        KeyboardInterrupt: the user has ended a sweep that runs in this process.
         SweepError: the sweep's settings are wrong for every job.
     """
     from isaacgymenvs_lite.run.stop_request import StopRequest  # imports torch

@@ -73,7 +73,7 @@ def compute_bbot_reward(ball_pos: Tensor, ball_vel: Tensor) -> Terms:
     """Return the terms (N,) of the reward 1 / (1 + distance) / (1 + speed).
 
     `near` is the reward of a ball at rest, and is largest on the tray's axis 0.7 m above the
-    ground. `speed` is the change of the reward by the ball's speed.
+    ground. `speed` is the negative amount that the ball's speed adds to the reward.
     """
     x, y, z = ball_pos.unbind(-1)
     near = 1.0 / (1.0 + torch.sqrt(x * x + y * y + (z - _PAID_HEIGHT_M).square()))

@@ -24,8 +24,8 @@ Pose = npt.NDArray[np.float64]
 # Number of control steps that identify the phase of a motion. A single pose may occur twice in a
 # clip, for example in an upward and in a downward motion.
 _PHASE_STEPS = 6
-# Horizontal offset (m) of the reference from the character in the world frame. From the right side
-# of a character that walks along x, the reference is behind the character.
+# Horizontal offset (m) of the reference from the character in the world frame. Seen from the right
+# of a character that walks along x, the reference stands behind the character.
 _OFFSET_M = (0.0, 1.0)
 
 

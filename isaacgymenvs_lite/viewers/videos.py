@@ -25,7 +25,7 @@ from isaacgymenvs_lite.rendering.view import View
 log = logging.getLogger(__name__)
 
 SINGLE_SIZE, TILE_SIZE = (640, 480), (320, 240)
-"""Size in pixels of a video of one environment, and of each tile of several environments."""
+"""Pixels of a video of one environment, and of each tile in a video of several environments."""
 # Largest number of waiting videos; their poses take memory.
 _MAX_WAITING = 8
 

@@ -131,7 +131,7 @@ class AutoresetTask:
 
     @property
     def render_fps(self) -> int:
-        """Whole number of pictures per second in real time."""
+        """The frame rate (an integer) at which a video plays in real time."""
         return max(1, round(1.0 / self.task.simulation.dt))
 
     def reset(self, seed: int | None = None) -> Observations:

@@ -220,8 +220,8 @@ def _places_in_parents(
 ) -> list[FloatArray]:
     """Replace offsets (J, 3) in place by the constant joint positions that are not zero.
 
-    Only the joints `above`, from ROOT to the clip's root, may change their positions relative to
-    their parents. Return the positions (T, 3) or (1, 3) of these joints except ROOT.
+    Only the joints listed in `above` (from ROOT to the clip's root) may change their positions
+    relative to their parents. Return the positions (T, 3) or (1, 3) of these joints except ROOT.
     """
     tolerance = _TOLERANCE * float(np.linalg.norm(offsets, axis=1).max())
     steps = dict(zip(names, offsets[:, None].copy(), strict=True))

@@ -109,7 +109,7 @@ class Sole:
 
     @property
     def length_m(self) -> float:
-        """The largest extent of the sole along an axis, including the balls."""
+        """The largest extent of the sole along any axis, including the radii of its spheres."""
         radii = self.radii[:, None]
         extent = (self.points + radii).max(axis=0) - (self.points - radii).min(axis=0)
         return max(float(extent.max()), 1e-3)

@@ -207,8 +207,8 @@ def _bridge(values: FloatArray, known: Flags) -> None:
 
 _log = logging.getLogger(__name__)
 
-# Bodies whose direction from the parent is the source's and whose distance from the parent is the
-# figure's.
+# The direction from the parent to these bodies comes from the source; the distance comes from the
+# figure.
 _LIMBS = ("lower_arm", "hand", "shin")
 # A foot is on the ground while the foot's joint is near its lowest height and slower than this.
 _CONTACT_SPEED = 0.2  # m/s

@@ -238,7 +238,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self._phases.start(env_ids, self._starts.clips[env_ids], self._starts.times_s[env_ids])
 
     def leave_clips(self, env_ids: Tensor) -> None:
-        """Let episodes (n,) leave their clips without failing."""
+        """Stop comparing episodes (n,) with clips, so that leaving a clip does not end them."""
         if self._phases is not None:
             self._phases.stop(env_ids.to(self.device))
 

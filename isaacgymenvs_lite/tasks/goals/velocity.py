@@ -161,7 +161,7 @@ class Velocity(TimedGoal):
         return torch.minimum(torch.maximum(motion.mean(1), low), high)
 
     def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
-        """Command the clip's mean motion in the next second in a random share of the episodes.
+        """Use the clip's mean velocity over the next second as the command of some random episodes.
 
         With random commands only, a policy that stands earns more than one that tries first steps.
         """
