@@ -1,6 +1,6 @@
 """Registers the tasks with Gymnasium: `IsaacGymEnvsLite/Cartpole-v0`, `Isaac-Ant-v0`.
 
-The names `Isaac-...` are those of Isaac Lab, so that its scripts find the tasks. With such a name
+The names `Isaac-...` come from Isaac Lab, so that its scripts find the tasks. With such a name
 `gymnasium.make` returns one object for all environments of a task, as in Isaac Lab.
 
 `import isaacgymenvs_lite` does not import Gymnasium, because that takes longer than everything else
@@ -67,7 +67,7 @@ def register_task_id(task: str) -> None:
 
 
 def _register_all() -> None:
-    from importlib.metadata import entry_points  # its import is slower than that of this package
+    from importlib.metadata import entry_points  # slower to import than this package
 
     from gymnasium.envs.registration import register, registry
 

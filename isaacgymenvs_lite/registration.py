@@ -79,7 +79,7 @@ def register(runner: Runner) -> None:
 
 
 def register_algorithms(runner: Runner) -> None:
-    """Add our algorithms and players to rl_games' Runner, replacing those of the same names."""
+    """Add our algorithms and players to rl_games' Runner; they replace entries of equal names."""
     for name, (agent, player) in _ALGORITHMS.items():
         runner.algo_factory.register_builder(name, agent)
         runner.player_factory.register_builder(name, player)

@@ -128,7 +128,7 @@ def train(
     stop: StopRequest | None = None,
     direction: str = "",
 ) -> float | None:
-    """Train the agent of a composed tree in a new run folder; the arguments are those of `run`.
+    """Train the agent of a composed tree in a new run folder; `run` describes the arguments.
 
     Returns:
         The value with which runs are compared, see `Objective`: the best pose error in m (lower is

@@ -103,7 +103,7 @@ def write_atomically(path: Path, state: dict[str, Any]) -> None:
 
 
 class Retention:
-    """Removes all checkpoints except those of the last `keep` epochs.
+    """Removes all checkpoints except the checkpoints of the last `keep` epochs.
 
     If `keep` is 0, no checkpoint is removed. Only files that were passed to `written` are removed.
     """

@@ -40,7 +40,8 @@ from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
 from isaacgymenvs_lite.schema import leaves, plain, select
 
 EXIT_DOES_NOT_WORK = 1
-# Maps tasks to algorithms, for train files whose names contain no task, like those of ASE.
+# Maps tasks to algorithms, for train files whose names contain no task, for example ASE's train
+# files.
 _TASKS_OF_ALGORITHMS = {
     "HumanoidAMP": ("amp", "amp_continuous", "amp_agent"),
     "HumanoidASE": ("ase", "gen_amp", "hrl", "hrl_continuous"),

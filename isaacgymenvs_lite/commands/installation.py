@@ -106,7 +106,7 @@ def _needs(problems: list[str]) -> str:
 
 
 def _requirements() -> Iterator[Requirement]:
-    """Yield the installed package's requirements on this machine, without those of extras."""
+    """Yield the requirements of the installed package on this machine, without its extras."""
     for text in requires(DISTRIBUTION) or ():
         requirement = Requirement(text)
         if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):

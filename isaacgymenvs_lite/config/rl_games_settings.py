@@ -270,7 +270,7 @@ class LayerSettings(UnitsSettings):
     d2rl: bool = setting(False)
     norm_only_first_layer: bool = setting(False)
     separate: bool = setting(False)
-    """Whether the encoder has separate layers instead of those of the discriminator."""
+    """Whether the encoder has separate layers instead of the discriminator's layers."""
     conditional: bool = setting(False)
     """Whether the discriminator also receives the latent."""
 

@@ -69,7 +69,7 @@ _MAX_SAMPLES = 2**31 - 1  # largest number of samples in an epoch
 
 @dataclass(frozen=True)
 class KnownNames:
-    """Names that are registered with rl_games, and keys of the agents in addition to those of PPO.
+    """Names that are registered with rl_games, and keys of the agents in addition to PPO's keys.
 
     An empty collection allows all names.
     """

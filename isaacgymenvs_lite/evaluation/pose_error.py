@@ -285,7 +285,7 @@ class PoseErrorMetric:
         """Measure E >= 1 episodes.
 
         Raises:
-            ValueError: the shape of the poses differs from that of the reference poses.
+            ValueError: the shape of the poses differs from the shape of the reference poses.
         """
         if not episodes:
             raise ValueError("there is no episode to measure; record at least one")

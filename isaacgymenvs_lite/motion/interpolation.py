@@ -224,7 +224,7 @@ class PublishedFrames(Frames):
         """Return the frames (T, columns): positions, hinge angles, rotations, velocities.
 
         `positions` (T, 1 + K, 3) m belong to the root and the key bodies. Rotations and velocities
-        of the root precede those of the joints.
+        of the root precede the values of the joints.
         """
         angles, turns = self._joint_poses(clip)
         rates = np.diff(angles, axis=0) * clip.fps

@@ -299,7 +299,7 @@ class DiagnosticsObserver(AlgoObserver):
         return min(after) < (1.0 - MIN_IMPROVEMENT) * min(before)
 
     def _missing_limits(self, *keys: str) -> str:
-        """Return settings for those of the keys of `CLIP_LIMITS` whose value in the task is 0."""
+        """Return settings for the keys of `CLIP_LIMITS` whose value in the task is 0."""
         missing = [key for key in keys if key not in self.clip_limits]
         return " and ".join(f"task.env.{key}={CLIP_LIMITS[key]:g}" for key in missing)
 

@@ -22,7 +22,7 @@ class EpochMetrics:
 
     Attributes:
         epoch: number of the epoch.
-        frame: environment steps before the epoch, including those of the run that was resumed.
+        frame: environment steps before the epoch, including the steps of the run that was resumed.
         episode_steps: mean length of the last episodes in control steps.
         episode_reward: mean sum of the task's rewards of the last episodes.
         fall_rate: share of the last episodes that ended by a fall, 0 to 1. For a task without

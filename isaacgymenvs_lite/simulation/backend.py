@@ -60,7 +60,7 @@ class SimulationBackend(Protocol):
     root_states: Tensor
     """(N, 13) position (m), rotation xyzw, linear (m/s) and angular velocity (rad/s) of the root.
 
-    Positions and velocities are those of the root body's origin, in world axes.
+    Positions and velocities belong to the root body's origin and are in world axes.
     """
 
     dof_pos: Tensor

@@ -25,7 +25,7 @@ class ModelLayout:
 
     # B names of bodies, without the world and the objects, in the order of the body tensors.
     body_names: tuple[str, ...]
-    # D names of degrees of freedom in joint order; those of a ball joint are `<joint>_x`, `_y` and
+    # D names of degrees of freedom in joint order; a ball joint has the names `<joint>_x`, `_y` and
     # `_z`.
     dof_names: tuple[str, ...]
     dof_body_ids: tuple[int, ...]  # (G,) body of each joint group, in the order of `body_names`

@@ -34,7 +34,7 @@ _QPOS_ROWS = np.append(np.arange(3), xyzw_from_wxyz(torch.arange(3, 7)).numpy())
 class StateBuffers:
     """The float32 state of n environments with B bodies, D degrees of freedom and K objects.
 
-    All values are zero at first. The names and units are those of `SimulationBackend`, in which the
+    All values are zero at first. `SimulationBackend` has the same names and units, but there the
     environments are the first dimension.
 
     Attributes:

@@ -44,7 +44,7 @@ def compute_quadcopter_reward(to_target: Tensor, root_rot: Tensor, spin: Tensor)
 class Quadcopter(HoverTask):
     """N quadcopters with 21 observations and 12 actions.
 
-    The observations are those of `compute_flight_observations` and the 8 hinge angles (rad). The
+    The observations consist of `compute_flight_observations` and the 8 hinge angles (rad). The
     actions are the speeds of the 8 hinge targets and the rates of the 4 thrusts.
     """
 

@@ -1,7 +1,7 @@
 """Computes world poses and velocities of a model's bodies from many rows of qpos and qvel.
 
 MuJoCo's functions also compute inertias, tendons and collisions, which no caller of this module
-needs, and the velocities that MuJoCo computes are not those of the bodies' origins.
+needs, and MuJoCo's velocities do not belong to the bodies' origins.
 
 The bodies have rows in the order of their depth in the tree. One operation therefore applies the
 poses of the parents to all bodies of one depth, and one operation applies the positions of all

@@ -20,6 +20,7 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.simulation import cpu_batch
 from isaacgymenvs_lite.simulation.backend import make_simulation
 from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
+from tests.simulation.test_cpu_batch_state import STATE_TENSORS
 
 # Falls freely from 10 m; 0.005 s per physics step.
 FALLING_BALL = """
@@ -410,16 +411,7 @@ def test_forces_of_written_environments_are_zero(make_simulation, humanoid_model
     assert (simulation.contact_forces[1] == 0.0).all()
 
 
-FINITE = (
-    "root_states",
-    "dof_pos",
-    "dof_vel",
-    "body_pos",
-    "body_rot",
-    "body_lin_vel",
-    "body_ang_vel",
-    "contact_forces",
-)
+FINITE = [name for name in STATE_TENSORS if name != "failed"]
 
 
 @pytest.fixture

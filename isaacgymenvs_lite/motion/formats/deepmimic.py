@@ -159,7 +159,7 @@ def load_deepmimic(path: str | Path, skeleton: Skeleton, name: str | None = None
 
 
 def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> MotionClip:
-    """Make a clip from the content of a DeepMimic file; the limb lengths are those of `skeleton`.
+    """Make a clip from the content of a DeepMimic file; `skeleton` gives the limb lengths.
 
     Frames of unequal duration are resampled. If a foot is below the ground in a frame, the whole
     clip is lifted by a constant height, so that the lowest corner of a foot touches the ground. If

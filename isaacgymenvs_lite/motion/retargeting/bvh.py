@@ -171,7 +171,7 @@ def _split_positions(
 ) -> tuple[list[str], dict[str, FloatArray]]:
     """Remove position channels of joints below ROOT; return the lines and the positions (T, 3).
 
-    Joints without rotation channels get zero rotations. If the lines are not those of a BVH file,
+    Joints without rotation channels get zero rotations. If the lines do not belong to a BVH file,
     they are returned unchanged, and pybvh then raises an error.
     """
     start = next((i for i, line in enumerate(lines) if line.strip() == "MOTION"), None)

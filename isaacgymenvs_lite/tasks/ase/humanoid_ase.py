@@ -60,7 +60,7 @@ def read_ase_config(
     return read_section(cls, env, "task.env", ignored=(*UNREAD_ENV_KEYS, *goal_keys(), *getup))
 
 
-# This file has the drives of ASE, and `amp_humanoid.xml` has those of IsaacGymEnvs.
+# This file has ASE's drives, and `amp_humanoid.xml` has IsaacGymEnvs' drives.
 _ASSET_OF_DRIVES = "mjcf/amp_humanoid_sword_shield.xml"
 HEAD = "head"
 # These bodies have larger termination heights (m) than all other bodies.

@@ -1,6 +1,6 @@
 """Common parts of Quadcopter and Ingenuity: a free body learns to hover at a target.
 
-The formulas are those of IsaacGymEnvs. The reward depends on the spin about the world's vertical
+The formulas come from IsaacGymEnvs. The reward depends on the spin about the world's vertical
 axis, not about the body axis. The angular velocity is limited after every control step, whereas
 PhysX limits it in every physics step.
 """

@@ -228,7 +228,7 @@ def compute_humanoid_reset(
 ) -> tuple[Tensor, Tensor]:
     """Return which episodes end (reset, (N,)) and which of them by a fall (terminated, (N,)).
 
-    The arguments are those of IsaacGymEnvs; `compute_humanoid_falls` describes them. `reset_buf`
+    IsaacGymEnvs has the same arguments; `compute_humanoid_falls` describes them. `reset_buf`
     (N,) determines only the dtype of the results.
     """
     timed_out = progress_buf >= max_episode_length - 1

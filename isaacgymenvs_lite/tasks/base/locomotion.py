@@ -1,6 +1,6 @@
 """Common parts of Ant and Humanoid: a body with joint torques learns to run along +x.
 
-The formulas are those of IsaacGymEnvs, including one quirk. `angle_to_target` is computed from the
+The formulas come from IsaacGymEnvs, including one quirk. `angle_to_target` is computed from the
 height of the target instead of its lateral distance, and is therefore nearly the negative yaw.
 """
 

@@ -527,7 +527,7 @@ class VecTask(Env):
         self.done_buf.masked_fill_(self.diverged_buf, Done.DIVERGED)
 
     def _repeat_observations(self, observations: dict[str, Tensor]) -> None:
-        """Overwrite observations of diverged simulations by those of the previous step."""
+        """Replace observations of diverged simulations by observations of the previous step."""
         cut_off = self.diverged_buf & (self.reset_buf != 0)
         for name, before in self._observed_before.items():
             rows = observations[name]

@@ -1,6 +1,6 @@
 """Common parts of Anymal and AnymalTerrain: a legged robot follows commanded velocities.
 
-The formulas are those of IsaacGymEnvs. The last dimension of all tensors is the number N of
+The formulas come from IsaacGymEnvs. The last dimension of all tensors is the number N of
 environments, for example (3, N).
 """
 

@@ -87,14 +87,14 @@ class Goal(Stateful):
     def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
         """Adapt the goals that `reset` drew for `env_ids` (n,) to the clips of their start poses.
 
-        `root_states` (n, T, 13) are those of the clips at the T times `look_ahead_s` after the
+        `root_states` (n, T, 13) are the clips' root states at the T times `look_ahead_s` after the
         start.
         """
 
     def observe_clip(self, root_states: Tensor) -> Tensor | None:
         """Return the observations (n, num_obs) of goals that n clips reach, or None.
 
-        `root_states` (n, T, 13) are those of the clips at the T times `look_ahead_s` after the
+        `root_states` (n, T, 13) are the clips' root states at the T times `look_ahead_s` after the
         observed time.
         """
         return None

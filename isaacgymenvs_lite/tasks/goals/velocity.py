@@ -1,6 +1,6 @@
 """The goal `velocity`: walk, sidestep, turn and stand on command, in the style of the clips.
 
-The commands, their keys and the reward kernels are those of IsaacGymEnvs' Anymal, with two
+The commands, their keys and the reward kernels come from IsaacGymEnvs' Anymal, with two
 differences. Velocities are in the heading frame, because a walking robot leans. The reward depends
 on the mean velocity of the last second, because a reward of the present velocity would suppress the
 natural sway of the hips.
