@@ -12,14 +12,19 @@ read, so that the property must be read again after each step or write. The memo
 not be contiguous, because `cpu_batch` keeps each component of all environments together: use
 `reshape` or `flatten`, not `view`.
 
-A model may have objects in addition to the robot. An object is a body with a free joint and without
-children that comes after all bodies of the robot in the file. Body and DOF tensors do not contain
-objects.
+A model may have other parts than the robot:
+
+- An object is a body with a free joint and without children. Objects come after all other bodies,
+  and have tensors of their own.
+- Furniture is a body at a fixed place, for example a table or a cabinet with doors. Its bodies and
+  joints are part of the body and DOF tensors, after the robot's.
+- A goal or another mark that touches nothing is no part of the model. The task's method `markers`
+  returns it as a shape of `rendering.markers`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import mujoco
@@ -72,7 +77,8 @@ class SimulationBackend(Protocol):
     contact_forces: Tensor
     """(N, B, 3) net contact force (newton) on each body in world axes in the last physics step.
 
-    The force is zero for environments whose state has been set since that step.
+    The force is zero for bodies without a sensor `contact_<body>` in the model, and for
+    environments whose state has been set since that step.
     """
 
     object_states: Tensor
@@ -141,6 +147,33 @@ class SimulationBackend(Protocol):
         have MuJoCo's units and are in world axes unless the sensor defines a frame. A `contact`
         sensor measures the force that its first body exerts. Reading is fastest if the sensors are
         neighbours in the model, in the order of `names`.
+        """
+        ...
+
+    def jacobian(self, body: str, dofs: Sequence[str]) -> Tensor:
+        """Return d(velocity of a body) / d(velocities of k degrees of freedom), (N, 6, k).
+
+        The first three rows belong to the linear velocity of the body's origin (m/s), and the last
+        three rows to the angular velocity (rad/s), both in world axes. The values belong to the
+        current state. The tensor is new in each call.
+        """
+        ...
+
+    def mass_matrix(self, dofs: Sequence[str]) -> Tensor:
+        """Return the rows and columns of k degrees of freedom of the mass matrix, (N, k, k).
+
+        The unit is kg m^2 for hinges and kg for slides. The matrix includes armatures, and belongs
+        to the current state. The tensor is new in each call. After the first call, each step
+        computes the matrix.
+        """
+        ...
+
+    def apply_forces(self, bodies: Sequence[str], forces: Tensor) -> None:
+        """Apply forces (N, k, 3) in newton to the centres of mass of k bodies or objects.
+
+        The forces are in world axes, and act during the whole next `step()` and not longer. A
+        second call before this step replaces the forces on its bodies. `write_state` removes the
+        forces in its environments.
         """
         ...
 

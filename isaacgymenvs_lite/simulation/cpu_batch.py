@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -36,6 +36,7 @@ from isaacgymenvs_lite.utils.threads import thread_count
 log = logging.getLogger(__name__)
 
 _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
+_STAGE_POS = int(mujoco.mjtStage.mjSTAGE_POS)
 # MuJoCo resets a simulation to its default state after one of these warnings.
 _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
 # A simulation counts as diverged if a joint is faster (rad/s or m/s) than this limit. PhysX limits
@@ -50,7 +51,7 @@ _MAX_RECORDINGS = 8
 _VIEWS = (
     *("_state_rows", "_qpos_rows", "_qvel_rows", "_object_qpos", "_object_qvel"),
     *("_warmstart_rows", "_warnings", "_ctrl64", "_contacts", "_sensor_rows", "_force_rows"),
-    *("_history", "_own_fields"),
+    *("_history", "_own_fields", "_mass_rows", "_applied_rows"),
 )
 
 
@@ -84,6 +85,8 @@ class CpuBatchSimulation:
         self.num_failures = 0
         self.recordings: list[Recording] = []
         self._own_fields: dict[str, npt.NDArray[Any]] = {}
+        # Each step computes this stage at its new state.
+        self._stage = _STAGE_NONE
         batch = Batch(
             model, num_envs, num_threads or _worthwhile_threads(model, num_envs, substeps)
         )
@@ -95,11 +98,7 @@ class CpuBatchSimulation:
     def _bind_views(self, batch: Batch) -> None:
         self._state_rows = batch.state
         self._default_state = batch.state[0].copy()
-        # A state begins with time, qpos, qvel, activations, initial values of the solver, and
-        # controls.
-        until_controls = 2 * int(mujoco.mjtState.mjSTATE_CTRL) - 1
-        num_changing = mujoco.mj_stateSize(self.model, until_controls)
-        self._history = StepHistory(self._state_rows, num_changing)
+        self._history = self._make_history(mujoco.mjtState.mjSTATE_CTRL)
         self._qpos_rows = batch.bind("qpos")
         self._qvel_rows = batch.bind("qvel")
         self._object_qpos, self._object_qvel = self._converter.of_objects(
@@ -109,22 +108,35 @@ class CpuBatchSimulation:
         self._ctrl64 = torch.from_numpy(batch.bind("ctrl"))
         self._sensor_rows = batch.bind("sensordata")
         self._force_rows: list[np.ndarray] | None = None
+        self._mass_rows: np.ndarray | None = None
+        self._applied_rows: np.ndarray | None = None
         # (N, warnings, [last info, count]) -> counts
         self._warnings = batch.warning[:, _DIVERGED, 1]
         layout, buffers = self.layout, self._buffers
-        self._contacts: list[tuple[Floats, np.ndarray]] = []
+        self._contacts: list[tuple[Floats, slice | np.ndarray, np.ndarray]] = []
         for what, columns, forces in (
             ("bodies", layout.contact_columns, buffers.contact_forces),
             ("objects", layout.object_contact_columns, buffers.object_contact_forces),
         ):
             if columns is not None:
-                if (np.diff(columns.ravel()) != 1).any():
+                with_sensor = np.flatnonzero(columns[:, 0] >= 0)
+                measured = columns[with_sensor]
+                if (np.diff(measured.ravel()) != 1).any():
                     raise ConfigError(
                         f"the contact sensors of the model's {what} must follow one another, in"
                         " body order"
                     )
-                rows = self._sensor_rows[:, columns[0, 0] : columns[-1, -1] + 1]
-                self._contacts.append((forces, rows.reshape(self.num_envs, -1, 3)))
+                rows = self._sensor_rows[:, measured[0, 0] : measured[-1, -1] + 1]
+                bodies = slice(None) if len(measured) == len(columns) else with_sensor
+                self._contacts.append((forces, bodies, rows.reshape(self.num_envs, -1, 3)))
+
+    def _make_history(self, last: mujoco.mjtState) -> StepHistory:
+        """Return a history of the states until the component `last`.
+
+        A state begins with time, qpos, qvel, activations, initial values of the solver, controls,
+        and forces on joints and bodies.
+        """
+        return StepHistory(self._state_rows, mujoco.mj_stateSize(self.model, 2 * int(last) - 1))
 
     def _allocate(self) -> None:
         self._converter = StateConverter(self.model, self.layout)
@@ -231,6 +243,54 @@ class CpuBatchSimulation:
         if not self._buffers.has_body_velocities:
             self._converter.fill_body_velocities(self._buffers)
 
+    def jacobian(self, body: str, dofs: Sequence[str]) -> Tensor:
+        """Return the Jacobian (N, 6, k) of a body; see `SimulationBackend.jacobian`."""
+        place = _index(self.body_names, body, "body")
+        columns = self._dof_columns(dofs)
+        origin = self.body_pos[:, place].numpy()
+        rows = np.concatenate(self.batch.jac(1 + place, origin), axis=1)
+        return torch.from_numpy(rows[:, :, columns]).float()
+
+    def mass_matrix(self, dofs: Sequence[str]) -> Tensor:
+        """Return a part (N, k, k) of the mass matrix; see `SimulationBackend.mass_matrix`."""
+        rows = self._mass_rows
+        if rows is None:
+            self._mass_rows = rows = self.batch.bind("M")
+            self._mass_places = _mass_places(self.model)
+            self._stage = _STAGE_POS
+            self._compute_mass_rows(np.arange(self.num_envs))
+        elif self._written.any():
+            self._compute_mass_rows(np.flatnonzero(self._written))
+        columns = self._dof_columns(dofs)
+        places = self._mass_places[np.ix_(columns, columns)]
+        matrix = rows[:, places] * (places >= 0)
+        return torch.from_numpy(matrix).float()
+
+    def _compute_mass_rows(self, rows: np.ndarray) -> None:
+        """Compute the mass matrices of simulations (n,) at their current states."""
+        # The measurements of the last step, which `forward` would overwrite, stay.
+        kept = [(values, values[rows]) for values in (self._sensor_rows, *(self._force_rows or ()))]
+        self.batch.forward(rows, _STAGE_POS)
+        for values, before in kept:
+            values.flags.writeable = True
+            values[rows] = before
+            values.flags.writeable = False
+
+    def _dof_columns(self, dofs: Sequence[str]) -> np.ndarray:
+        """Return the columns of qvel of named degrees of freedom."""
+        places = [_index(self.dof_names, dof, "degree of freedom") for dof in dofs]
+        return self.layout.dof_vel_adr + np.array(places)
+
+    def apply_forces(self, bodies: Sequence[str], forces: Tensor) -> None:
+        """Apply forces (N, k, 3) during the next step; see `SimulationBackend.apply_forces`."""
+        rows = self._applied_rows
+        if rows is None:
+            self._applied_rows = rows = self.batch.bind("xfrc_applied")
+            self._history = self._make_history(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
+        names = (*self.body_names, *self.object_names)
+        places = [1 + _index(names, body, "body") for body in bodies]
+        rows[:, places, :3] = forces.numpy()
+
     def expand(self, field: str) -> npt.NDArray[Any]:
         """Return a field's values for each environment; see `SimulationBackend.expand`."""
         values = self.batch.expand(field)
@@ -251,11 +311,13 @@ class CpuBatchSimulation:
         batch = self.batch
         self._history.add()
         try:
-            batch.step(nstep=self.substeps)
+            batch.step(nstep=self.substeps, stage=self._stage)
             raised = None
         except SimulationError as error:
             log.debug("%s", error)
             raised = error.ids
+        if self._applied_rows is not None:
+            self._applied_rows[:] = 0.0
         self._written[:] = False
         self._refresh()
         self._recover(batch, raised)
@@ -351,6 +413,8 @@ class CpuBatchSimulation:
         )
         if self._own_fields:
             self.batch.set_const(np.arange(self.num_envs))
+        if self._mass_rows is not None:
+            self._compute_mass_rows(np.arange(self.num_envs))
 
     def _memory(self) -> dict[str, np.ndarray]:
         """Return the arrays on which later steps depend or which are read before the next step."""
@@ -367,10 +431,13 @@ class CpuBatchSimulation:
     def _refresh(self) -> None:
         """Convert the batch's rows of all environments into the state tensors."""
         self._converter.fill(self._buffers, self._qpos_rows, self._qvel_rows)
-        for forces, rows in self._contacts:
+        for forces, bodies, rows in self._contacts:
             # The sensor measures the force that the body exerts; tasks need the force on the body.
-            transpose_into(forces, rows)
-            np.negative(forces, out=forces)
+            if isinstance(bodies, slice):
+                transpose_into(forces, rows)
+                np.negative(forces, out=forces)
+            else:
+                forces[:, bodies] = -rows.T
 
     def _refresh_rows(self, rows: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
         """Convert qpos and qvel of n environments whose state was set, without contact forces."""
@@ -388,6 +455,21 @@ class CpuBatchSimulation:
         # As long as these views exist, the batch's memory and threads exist.
         for view in _VIEWS:
             self.__dict__.pop(view, None)
+
+
+def _index(names: Sequence[str], name: str, what: str) -> int:
+    if name not in names:
+        raise ConfigError(unknown(f"{what} of the model", name, names))
+    return names.index(name)
+
+
+def _mass_places(model: mujoco.MjModel) -> npt.NDArray[np.intp]:
+    """Return the index (nv, nv) of each entry of the mass matrix in MuJoCo's `M`, -1 for zeros."""
+    places = np.full((model.nv, model.nv), -1)
+    for row, (first, size) in enumerate(zip(model.M_rowadr, model.M_rownnz, strict=True)):
+        columns = model.M_colind[first : first + size]
+        places[row, columns] = places[columns, row] = np.arange(first, first + size)
+    return places
 
 
 def _worthwhile_threads(model: mujoco.MjModel, num_envs: int, substeps: int) -> int:

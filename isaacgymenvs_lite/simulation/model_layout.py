@@ -36,8 +36,8 @@ class ModelLayout:
     ball_dofs: np.ndarray  # (balls, 3) the degrees of freedom of each ball joint
     scalar_qpos: np.ndarray  # (scalars,) qpos columns of hinges and slides
     scalar_dofs: np.ndarray  # (scalars,) degrees of freedom of hinges and slides
-    # (B, 3) columns of sensordata with the net contact force of each body. The value is None if the
-    # model has no `contact_<body>` sensors.
+    # (B, 3) columns of sensordata with the net contact force of each body, -1 for bodies without a
+    # `contact_<body>` sensor. The value is None if no body has a sensor.
     contact_columns: np.ndarray | None
     has_free_root: bool  # whether the first joint is a free joint
     object_names: tuple[str, ...]  # K names; object tensors use this order
@@ -66,7 +66,7 @@ class ModelLayout:
 
         Raises:
             ConfigError: a free joint belongs neither to the model's first body nor to an object
-                after all other bodies, or only some bodies have contact sensors.
+                after all other bodies.
         """
         num_objects = _count_objects(model)
         has_free_root = model.njnt > 0 and model.jnt_type[0] == _FREE
@@ -104,10 +104,10 @@ class ModelLayout:
             ball_dofs=np.array(ball_dofs, dtype=np.int64).reshape(-1, 3),
             scalar_qpos=np.array(scalar_qpos, dtype=np.int64),
             scalar_dofs=np.array(scalar_dofs, dtype=np.int64),
-            contact_columns=_contact_columns(sensors, body_names, "body", "bodies"),
+            contact_columns=_contact_columns(sensors, body_names),
             has_free_root=has_free_root,
             object_names=object_names,
-            object_contact_columns=_contact_columns(sensors, object_names, "object", "objects"),
+            object_contact_columns=_contact_columns(sensors, object_names),
             sensor_columns=sensors,
         )
 
@@ -134,17 +134,9 @@ def _count_objects(model: mujoco.MjModel) -> int:
     return len(objects)
 
 
-def _contact_columns(
-    sensors: dict[str, slice], body_names: tuple[str, ...], one: str, many: str
-) -> np.ndarray | None:
-    wanted = [CONTACT_SENSOR_PREFIX + name for name in body_names]
-    if not any(name in sensors for name in wanted):
-        return None
-    missing = [name for name in wanted if name not in sensors]
-    if missing:
-        raise ConfigError(
-            f"the model has contact sensors for some {many} but not '{missing[0]}'; expected one"
-            f' <contact name="{CONTACT_SENSOR_PREFIX}BODY" body1="BODY" reduce="netforce"/>'
-            f" for every {one} or for none"
-        )
-    return np.array([np.arange(3) + sensors[name].start for name in wanted])
+def _contact_columns(sensors: dict[str, slice], names: tuple[str, ...]) -> np.ndarray | None:
+    columns = np.full((len(names), 3), -1)
+    for place, name in enumerate(names):
+        if (sensor := sensors.get(CONTACT_SENSOR_PREFIX + name)) is not None:
+            columns[place] = np.arange(sensor.start, sensor.start + 3)
+    return columns if (columns >= 0).any() else None

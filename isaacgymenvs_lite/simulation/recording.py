@@ -54,8 +54,8 @@ class StepHistory:
     """Keeps the states of N simulations before each of their last control steps.
 
     `rows` (N, S) is a view of the current states. Only the first `num_changing` values of a state
-    are copied. The remaining values are mostly applied forces, which no task uses, so a returned
-    state has the remaining values of the first simulation.
+    are copied. No task changes the remaining values, so a returned state has the remaining values
+    of the first simulation.
     """
 
     def __init__(self, rows: Doubles, num_changing: int) -> None:

@@ -63,9 +63,11 @@ def test_contact_columns_are_found_by_name() -> None:
     np.testing.assert_array_equal(columns, 3 + np.arange(15).reshape(5, 3))
 
 
-def test_contact_sensors_of_some_bodies_only_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"for some bodies but not '(contact_)?plate'"):
-        _layout(ROBOT % _contact_sensors("base", "upper", "lower", "finger"))
+def test_contact_columns_of_some_bodies() -> None:
+    columns = _layout(ROBOT % _contact_sensors("upper", "finger")).contact_columns
+    assert columns is not None
+    np.testing.assert_array_equal(columns[[1, 4]], np.arange(6).reshape(2, 3))
+    assert (columns[[0, 2, 3]] == -1).all()
 
 
 # The robot above (5 bodies, qpos 0:13, qvel 0:11), then two objects.
