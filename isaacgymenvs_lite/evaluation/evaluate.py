@@ -48,6 +48,8 @@ class EvaluationResult:
     imitation: ImitationResult | None
     # Errors of the task's goal as means over all steps; empty if the task has no goal.
     goal_errors: dict[str, float] = field(default_factory=dict)
+    # Means of `VecTask.episode_successes` at the ends of the episodes; empty if the task has none.
+    successes: dict[str, float] = field(default_factory=dict)
     falls: float = 0.0  # share of the episodes that ended before the time limit, 0 to 1
 
     def __str__(self) -> str:
@@ -60,6 +62,7 @@ class EvaluationResult:
         if self.style_reward is not None:
             parts.append(f"style reward {self.style_reward:.3f} per step")
         parts += [f"{name} {mean:.3f}" for name, mean in self.goal_errors.items()]
+        parts += [f"{n.replace('_', ' ')} {mean:.3f}" for n, mean in self.successes.items()]
         if self.imitation is None:
             parts.append(f"falls {self.falls:.0%}")
         else:
@@ -145,6 +148,7 @@ def evaluate(
     goal = _GoalProbe(env) if fits(env, GoalEnv) else None
     left = torch.full((env.num_envs,), episodes_per_env, device=env.rl_device)
     totals = torch.zeros(4, dtype=torch.float64)  # reward, steps, style reward, falls
+    successes: dict[str, float] = {}
     with _evaluated(env):
         env.reset()
         while bool((left > 0).any()):
@@ -153,6 +157,9 @@ def evaluate(
             totals[0] += rewards[playing].double().sum().item()
             totals[1] += int(playing.sum())
             totals[3] += int(failures(dones, infos).bool()[playing].sum())
+            for name, values in infos.get("successes", {}).items():
+                ended = values[playing & (dones != 0)]
+                successes[name] = successes.get(name, 0.0) + ended.double().sum().item()
             if style_reward is not None:
                 totals[2] += style_reward(infos["amp_obs"])[playing].double().sum().item()
             if probe is not None:
@@ -170,6 +177,7 @@ def evaluate(
         style_reward=None if style_reward is None else (totals[2] / totals[1]).item(),
         imitation=None if probe is None else probe.result(),
         goal_errors={} if goal is None else goal.result(),
+        successes={name: total / count for name, total in successes.items()},
         falls=totals[3].item() / count,
     )
 

@@ -49,6 +49,7 @@ _CHARTS: dict[str, dict[str, tuple[str, ...]]] = {
 # Maps the title of a chart to a prefix; the chart draws all tags that begin with the prefix.
 _FAMILIES = {
     "Errors of the goal": "goal/",
+    "Success of an episode": "success/",
     "Reward terms, per step": "reward_terms/",
     "Losses": "losses/",
 }
@@ -124,11 +125,15 @@ def summarize(config: str, scalars: Mapping[str, Series]) -> dict[str, str]:
     for name, (tags, pattern) in _NEWEST.items():
         series = first_of(scalars, tags)
         facts[name] = pattern.format(series.last) if len(series) else ""
+    for tag in sorted(scalars):
+        if tag.startswith("success/"):
+            name = tag.removeprefix("success/").replace("_", " ")
+            facts[name] = f"{scalars[tag].last:.3g}"
     return {name: value for name, value in facts.items() if value}
 
 
 def charts_of(scalars: Mapping[str, Series]) -> dict[str, dict[str, Series]]:
-    """Map the titles of at most ten charts to dictionaries from labels of curves to scalars."""
+    """Map the titles of at most eleven charts to dictionaries from labels of curves to scalars."""
     charts = {
         title: {label: first_of(scalars, tags) for label, tags in lines.items()}
         for title, lines in _CHARTS.items()

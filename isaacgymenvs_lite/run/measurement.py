@@ -183,6 +183,7 @@ class MeasurementObserver(Stateful, AlgoObserver):
                 "measured/fall_rate": result.falls,
             }
         scalars |= {f"goal/{name}": error for name, error in result.goal_errors.items()}
+        scalars |= {f"success/measured_{name}": mean for name, mean in result.successes.items()}
         for tag, value in scalars.items():
             self._algo.writer.add_scalar(tag, value, frame)
         # rl_games counts the frames before the epoch, so scalars have this count; the log shows the

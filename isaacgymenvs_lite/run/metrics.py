@@ -28,6 +28,7 @@ class EpochMetrics:
         fall_rate: share of the last episodes that ended by a fall, 0 to 1. For a task without
             `terminate`, an episode that ended before the time limit counts as a fall.
         off_clip_rate: share of the last episodes that ended because the character left its clip.
+        successes: means of `VecTask.episode_successes` at the ends of the last episodes.
         train_info: `CommonAgent.train_info_means`; empty for the agents of rl_games.
     """
 
@@ -37,6 +38,7 @@ class EpochMetrics:
     episode_reward: float | None = None
     fall_rate: float | None = None
     off_clip_rate: float | None = None
+    successes: Mapping[str, float] = field(default_factory=dict)
     train_info: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -59,9 +61,9 @@ class EpochMetrics:
 
 
 class MetricsObserver(Stateful, AlgoObserver):
-    """Stores the newest `EpochMetrics` and writes three of them, for example `info/fall_rate`.
+    """Stores the newest `EpochMetrics` and writes some of them, for example `info/fall_rate`.
 
-    Falls are averaged over the same episodes as rl_games' mean length and reward
+    Falls and successes are averaged over the same episodes as rl_games' mean length and reward
     (`games_to_track`). This observer must come before the observers that read `latest`.
     """
 
@@ -72,18 +74,29 @@ class MetricsObserver(Stateful, AlgoObserver):
     def after_init(self, algo: Any) -> None:
         """Store the agent."""
         self._algo = algo
-        self._falls = AverageMeter(1, algo.games_to_track).to(algo.ppo_device)
-        self._off_clip = AverageMeter(1, algo.games_to_track).to(algo.ppo_device)
+        self._falls, self._off_clip = self._new_meter(), self._new_meter()
+        self._successes: dict[str, AverageMeter] = {}
+
+    def _new_meter(self) -> AverageMeter:
+        return AverageMeter(1, self._algo.games_to_track).to(self._algo.ppo_device)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state, including the counted episodes."""
-        meters = [[each.mean.cpu(), each.current_size] for each in (self._falls, self._off_clip)]
-        return {**super().state_dict(), "meters": meters}
+        return {
+            **super().state_dict(),
+            "meters": [_counted(self._falls), _counted(self._off_clip)],
+            "successes": {name: _counted(meter) for name, meter in self._successes.items()},
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the state."""
-        super().load_state_dict({n: part for n, part in state.items() if n != "meters"})
-        for meter, (mean, size) in zip((self._falls, self._off_clip), state["meters"], strict=True):
+        own = ("meters", "successes")
+        super().load_state_dict({n: part for n, part in state.items() if n not in own})
+        successes = state.get("successes", {})  # older checkpoints have none
+        self._successes = {name: self._new_meter() for name in successes}
+        meters = (self._falls, self._off_clip, *self._successes.values())
+        counted = (*state["meters"], *successes.values())
+        for meter, (mean, size) in zip(meters, counted, strict=True):
             meter.mean.copy_(mean)
             meter.current_size = int(size)
 
@@ -100,11 +113,15 @@ class MetricsObserver(Stateful, AlgoObserver):
             self._falls.update(~infos["time_outs"][rows].bool().unsqueeze(1))
         if off_clip is not None:
             self._off_clip.update(off_clip.unsqueeze(1))
+        for name, values in infos.get("successes", {}).items():
+            if name not in self._successes:
+                self._successes[name] = self._new_meter()
+            self._successes[name].update(values[rows].float().unsqueeze(1))
 
     def after_clear_stats(self) -> None:
         """Drop the episodes after the agent's meters have been cleared."""
-        self._falls.clear()
-        self._off_clip.clear()
+        for meter in (self._falls, self._off_clip, *self._successes.values()):
+            meter.clear()
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
         """Read the metrics of the epoch."""
@@ -117,6 +134,7 @@ class MetricsObserver(Stateful, AlgoObserver):
             episode_reward=algo.game_rewards.mean.flatten()[0].item() if has_episodes else None,
             fall_rate=_mean(self._falls),
             off_clip_rate=_mean(self._off_clip),
+            successes={n: m.mean.item() for n, m in self._successes.items() if m.current_size > 0},
             train_info=algo.train_info_means() if hasattr(algo, "train_info_means") else {},
         )
         if latest.episode_reward is not None:
@@ -126,9 +144,14 @@ class MetricsObserver(Stateful, AlgoObserver):
             ("info/fall_rate", latest.fall_rate),
             ("info/off_clip_rate", latest.off_clip_rate),
             ("info/disc_acc", latest.disc_accuracy),
+            *((f"success/{name}", value) for name, value in latest.successes.items()),
         ):
             if value is not None:
                 algo.writer.add_scalar(tag, value, frame)
+
+
+def _counted(meter: AverageMeter) -> list[Any]:
+    return [meter.mean.cpu(), meter.current_size]
 
 
 def _mean(meter: AverageMeter) -> float | None:

@@ -115,6 +115,8 @@ class ProgressObserver(AlgoObserver):
             shown["falls"] = f"{metrics.fall_rate:.0%}"
         if metrics.off_clip_rate is not None:
             shown["off the clip"] = f"{metrics.off_clip_rate:.0%}"
+        for name, mean in metrics.successes.items():
+            shown[name.replace("_", " ")] = f"{mean:.2f}"
         # The task's reward is left out if the agent does not learn from it.
         if metrics.episode_reward is not None and self._algo.config.get("task_reward_w", 1.0) != 0:
             shown["reward"] = f"{metrics.episode_reward:.2f}"
@@ -130,9 +132,11 @@ class ProgressObserver(AlgoObserver):
         if result is None:
             return {}
         if result.imitation is None:
+            successes = result.successes.items()
             return {
                 "measured reward": f"{result.reward:.2f}",
                 "measured falls": f"{result.falls:.0%}",
+                **{f"measured {n.replace('_', ' ')}": f"{mean:.2f}" for n, mean in successes},
             }
         measured = result.imitation
         return {
