@@ -141,8 +141,9 @@ class AnymalTerrain(VelocityTrackingTask):
         """Assign one of a hundred random friction coefficients to each robot."""
         buckets = low + (high - low) * torch.rand(_FRICTION_BUCKETS)
         values = buckets[torch.arange(self.num_envs) % _FRICTION_BUCKETS].double().numpy()
+        bodies = np.arange(1, 1 + len(self._layout.body_names))
         friction = make_property(
-            self.simulation, self._layout, "rigid_shape_properties", "friction"
+            self.simulation, self._layout, bodies, "rigid_shape_properties", "friction"
         )
         if friction is not None:
             shapes = len(friction.original)

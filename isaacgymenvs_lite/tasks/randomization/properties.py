@@ -12,6 +12,7 @@ The names are PhysX's. Two quantities need a translation:
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
@@ -163,24 +164,41 @@ def _drives_of(model: mujoco.MjModel, layout: ModelLayout) -> Ids:
     return drives
 
 
-def make_property(
-    simulation: SimulationBackend, layout: ModelLayout, group: str, attribute: str
-) -> Property | None:
-    """Return a property of the robot, or None if MuJoCo has no counterpart.
+def bodies_of_actors(
+    model: mujoco.MjModel, layout: ModelLayout, actors: Mapping[str, str]
+) -> dict[str, Ids]:
+    """Map the names of actors to the ids of their bodies; see `DomainRandomizer`."""
+    roots = {actor: model.body(body).id if body else 0 for actor, body in actors.items()}
+    owners = np.zeros(model.nbody, dtype=np.int64)  # the actor's first body, 0 for the robot
+    for body in range(1, model.nbody):
+        owners[body] = body if body in roots.values() else owners[model.body_parentid[body]]
+    owners[0] = -1
+    owners[1 + len(layout.body_names) :][owners[1 + len(layout.body_names) :] == 0] = -1
+    return {actor: np.flatnonzero(owners == root) for actor, root in roots.items()}
 
-    `group` and `attribute` are a key and a value of `settings.PROPERTIES`.
+
+def make_property(
+    simulation: SimulationBackend, layout: ModelLayout, bodies: Ids, group: str, attribute: str
+) -> Property | None:
+    """Return a property of an actor with these bodies, or None if MuJoCo has no counterpart.
+
+    `group` and `attribute` are a key and a value of `settings.PROPERTIES`, or `scale` and ''. The
+    degrees of freedom and tendons of the model belong to the robot.
     """
     model = simulation.model
-    bodies = np.arange(1, 1 + len(layout.body_names))
-    bodies = bodies[model.body_mass[bodies] > 0.0]
-    geoms = np.flatnonzero((model.geom_bodyid >= 1) & (model.geom_bodyid <= len(layout.body_names)))
+    geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
     dofs = np.arange(layout.num_dofs) + layout.dof_vel_adr
     columns = {"friction": 0, "torsion_friction": 1, "rolling_friction": 2}
+    if group == "scale":
+        return Scale(simulation, geoms) if _is_free_body(model, bodies) else None
     if group == "rigid_body_properties":
-        mass = Mass(simulation, bodies)
+        mass = Mass(simulation, bodies[model.body_mass[bodies] > 0.0])
         return mass if attribute == "mass" else InverseMass(mass)
     if group == "rigid_shape_properties" and attribute in columns:
         return Friction(simulation, geoms, columns[attribute])
+    if group == "tendon_properties" and attribute in _TENDON_FIELDS and model.ntendon > 0:
+        field, column = _TENDON_FIELDS[attribute]
+        return FieldProperty(simulation, field, np.arange(model.ntendon), column)
     if group == "dof_properties":
         if attribute in ("lower", "upper"):
             return Limits(simulation, layout, int(attribute == "upper"))
@@ -192,6 +210,43 @@ def make_property(
         if attribute == "effort" and (model.actuator_forcelimited != 0).any():
             return Effort(simulation)
     return None
+
+
+_TENDON_FIELDS = {
+    "stiffness": ("tendon_stiffness", None),
+    "damping": ("tendon_damping", None),
+    "fixed_lower_limit": ("tendon_range", 0),
+    "fixed_upper_limit": ("tendon_range", 1),
+}
+
+
+def _is_free_body(model: mujoco.MjModel, bodies: Ids) -> bool:
+    """Return whether an actor is one body with a free joint, which can be scaled."""
+    joints = model.body_jntadr[bodies]
+    return (
+        len(bodies) == 1
+        and joints[0] >= 0
+        and (model.jnt_type[joints[0]] == mujoco.mjtJoint.mjJNT_FREE)
+    )
+
+
+class Scale(Property):
+    """The scale of the geoms (k,) of a free body. Mass and inertia stay."""
+
+    _FIELDS = ("geom_size", "geom_pos", "geom_rbound", "geom_aabb")
+
+    def __init__(self, simulation: SimulationBackend, geoms: Ids) -> None:
+        self._ids = geoms
+        self._values = {name: simulation.expand(name) for name in self._FIELDS}
+        self._originals = {name: getattr(simulation.model, name)[geoms] for name in self._FIELDS}
+        self.original = np.ones(1)
+
+    def write(self, env_ids: Ids, values: Doubles) -> None:
+        """See `Property.write`."""
+        for name, own in self._values.items():
+            original = self._originals[name]
+            scales = np.maximum(values, mujoco.mjMINVAL).reshape(-1, *(1,) * original.ndim)
+            own[np.ix_(env_ids, self._ids)] = original * scales
 
 
 class Limits(FieldProperty):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,11 @@ from torch import Tensor
 
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.tasks.randomization.properties import Property, make_property
+from isaacgymenvs_lite.tasks.randomization.properties import (
+    Property,
+    bodies_of_actors,
+    make_property,
+)
 from isaacgymenvs_lite.tasks.randomization.settings import (
     AttributeSettings,
     NoiseSettings,
@@ -108,8 +112,8 @@ class Noise(Stateful):
 class DomainRandomizer(Stateful):
     """Draws noise and model parameters, for the first time at construction.
 
-    `params` is the section `task.task.randomization_params`. The first name in `actors` is the
-    robot.
+    `params` is the section `task.task.randomization_params`. `actors` maps the name of each actor
+    to the name of its first body; '' means all bodies except objects and other actors.
 
     Raises:
         ConfigError: an actor, property, attribute or value is invalid.
@@ -122,7 +126,7 @@ class DomainRandomizer(Stateful):
         params: Mapping[str, Any],
         simulation: SimulationBackend,
         layout: ModelLayout,
-        actors: Collection[str],
+        actors: Mapping[str, str],
     ) -> None:
         self._plan = plan = read_plan(params, actors)
         self._simulation = simulation
@@ -130,9 +134,10 @@ class DomainRandomizer(Stateful):
         self._observation_noise = Noise(plan.observations) if plan.observations else None
         self._properties: list[tuple[AttributeSettings, Property]] = []
         unsupported = list(plan.unsupported)
-        for (group, attribute), settings in plan.actor.items():
-            found = make_property(simulation, layout, group, attribute)
-            path = f"actor_params.{next(iter(actors))}.{group}.{attribute}"
+        bodies = bodies_of_actors(simulation.model, layout, actors)
+        for (actor, group, attribute), settings in plan.actors.items():
+            found = make_property(simulation, layout, bodies[actor], group, attribute)
+            path = f"actor_params.{actor}.{group}.{attribute}".rstrip(".")
             if found is None:
                 unsupported.append(path)
                 continue

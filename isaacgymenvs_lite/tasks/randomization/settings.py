@@ -80,16 +80,16 @@ class RandomizationPlan:
     observations: NoiseSettings | None
     actions: NoiseSettings | None
     gravity: AttributeSettings | None
-    actor: dict[tuple[str, str], AttributeSettings] = field(default_factory=dict)
-    """Maps (group, attribute) to settings."""
+    actors: dict[tuple[str, str, str], AttributeSettings] = field(default_factory=dict)
+    """Maps (actor, group, attribute) to settings."""
     colour: bool = False
-    """Whether the robot's bodies get random colours."""
+    """Whether all bodies get random colours."""
     unsupported: tuple[str, ...] = ()
     """Paths of entries without a counterpart in MuJoCo."""
 
 
 def read_plan(params: Mapping[str, Any], actors: Collection[str]) -> RandomizationPlan:
-    """Check and return `randomization_params`. The first of the task's `actors` is the robot.
+    """Check and return `randomization_params` of a task with these `actors`.
 
     Raises:
         ConfigError: an actor, property, attribute, value or range is invalid.
@@ -104,25 +104,24 @@ def read_plan(params: Mapping[str, Any], actors: Collection[str]) -> Randomizati
     if isinstance(entries, Mapping):  # null removes an actor that a base file defines
         entries = {actor: groups for actor, groups in entries.items() if groups is not None}
     _check_names(entries, actors, f"{WHERE}.actor_params", "actor")
-    attributes: dict[tuple[str, str], AttributeSettings] = {}
+    attributes: dict[tuple[str, str, str], AttributeSettings] = {}
     colour = False
     for actor, groups in entries.items():
         where = f"{WHERE}.actor_params.{actor}"
         _check_names(groups, (*PROPERTIES, "color", "scale"), where, "property")
         colour = colour or bool(groups.get("color", False))
         if "scale" in groups:
-            _attribute(groups["scale"], f"{where}.scale")
-            unsupported.append(f"actor_params.{actor}.scale")
+            attributes[actor, "scale", ""] = _attribute(groups["scale"], f"{where}.scale")
         for group in (group for group in PROPERTIES if group in groups):
             _check_names(groups[group], PROPERTIES[group], f"{where}.{group}", "attribute")
             for name, entry in groups[group].items():
-                attributes[group, name] = _attribute(entry, f"{where}.{group}.{name}")
+                attributes[actor, group, name] = _attribute(entry, f"{where}.{group}.{name}")
     return RandomizationPlan(
         frequency=_frequency(params),
         observations=_noise(params, "observations"),
         actions=_noise(params, "actions"),
         gravity=None if gravity is None else _attribute(gravity, f"{WHERE}.sim_params.gravity"),
-        actor=attributes,
+        actors=attributes,
         colour=colour,
         unsupported=tuple(unsupported),
     )

@@ -45,10 +45,10 @@ def test_everything_that_is_published_is_read() -> None:
     assert plan.actions is None
     assert plan.gravity is not None
     assert plan.gravity.schedule == "linear"
-    assert plan.actor["rigid_body_properties", "mass"].setup_only
-    assert plan.actor["rigid_shape_properties", "friction"].num_buckets == 500
+    assert plan.actors["ant", "rigid_body_properties", "mass"].setup_only
+    assert plan.actors["ant", "rigid_shape_properties", "friction"].num_buckets == 500
     assert plan.colour
-    assert plan.unsupported == ("actor_params.ant.scale",)
+    assert plan.actors["ant", "scale", ""].operation == "scaling"
 
 
 def test_mistakes_are_named() -> None:
