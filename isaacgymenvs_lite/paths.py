@@ -14,7 +14,10 @@ from isaacgymenvs_lite.errors import ConfigError
 _PACKAGE_DIR = Path(__file__).resolve().parent
 
 
-PARTS = ("Classic", "HumanoidRandomization", "RobotRandomization", "ClassicPPO", "ClassicSAC")
+PARTS = (
+    *("Classic", "Hand", "HandRandomization", "HumanoidRandomization", "RobotRandomization"),
+    *("AsymmetricCritic", "ClassicPPO", "ClassicSAC"),
+)
 """Files of cfg/ that exist only to be included by other files."""
 
 

@@ -21,6 +21,7 @@ ACTUAL_COLOUR: Colour = (0.1, 0.7, 0.2)
 
 _ARROW_WIDTH_M = 0.03
 _OVERLAY_OPACITY = 0.35
+_SOLID_OPACITY = 0.6
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,21 @@ class Sphere:
     colour: Colour
 
 
-Marker = Arrow | Sphere
+@dataclass(frozen=True)
+class Solid:
+    """A translucent box, ellipsoid or capsule, with the sizes of MuJoCo's geoms.
+
+    `kind` is a value of `mujoco.mjtGeom`.
+    """
+
+    kind: int
+    size_m: tuple[float, float, float]
+    centre_w: Point
+    rot_wxyz: tuple[float, float, float, float]
+    colour: Colour
+
+
+Marker = Arrow | Sphere | Solid
 
 
 def arrow_on_ground(
@@ -64,6 +79,13 @@ def add_markers(scene: mujoco.MjvScene, markers: Iterable[Marker]) -> None:
             geom = add_geom(scene, mujoco.mjtGeom.mjGEOM_ARROW, colour=marker.colour)
             ends = (np.array(marker.start_w), np.array(marker.end_w))
             mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, _ARROW_WIDTH_M, *ends)
+        elif isinstance(marker, Solid):
+            place_w = np.array(marker.centre_w)
+            geom = add_geom(scene, marker.kind, np.array(marker.size_m), place_w, marker.colour)
+            matrix = np.empty(9)
+            mujoco.mju_quat2Mat(matrix, np.array(marker.rot_wxyz))
+            geom.mat[:] = matrix.reshape(3, 3)
+            geom.rgba[3] = _SOLID_OPACITY
         else:
             size = np.full(3, marker.radius_m)
             place_w = np.array(marker.centre_w)

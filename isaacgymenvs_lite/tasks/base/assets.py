@@ -70,20 +70,23 @@ def compile_model(
     dynamic_friction: float,
     change: Callable[[mujoco.MjSpec], None] = lambda spec: None,
 ) -> mujoco.MjModel:
-    """Compile an MJCF file with the task's time step, gravity and friction (see `compile_spec`).
+    """Compile an MJCF file with the task's time step, gravity and friction (see `compile_spec`)."""
+    return compile_spec(read_spec(path, own), path, sim, dynamic_friction, change)
+
+
+def read_spec(path: Path, own: str) -> mujoco.MjSpec:
+    """Read an MJCF or URDF file.
 
     A file is read as an untrusted robot file, unless it is in assets/ or is the task's file `own`.
     """
     file, ours = path.resolve(), assets_dir().resolve()
     if file.is_relative_to(ours) or file == (ours / own).resolve():
         with explained(path):
-            spec = mujoco.MjSpec.from_file(str(path))
-    else:
-        model = read_robot_file(path, with_sensors=True)
-        spec = model.spec
-        for note in model.notes:
-            log.info("%s: %s", path, note)
-    return compile_spec(spec, path, sim, dynamic_friction, change)
+            return mujoco.MjSpec.from_file(str(path))
+    model = read_robot_file(path, with_sensors=True)
+    for note in model.notes:
+        log.info("%s: %s", path, note)
+    return model.spec
 
 
 def compile_spec(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+from pathlib import Path
 from typing import Any, ClassVar
 
 import mujoco
@@ -36,11 +39,15 @@ class MjcfTask(VecTask):
     """Path of the task's MJCF, relative to assets/."""
     published_assets: ClassVar[tuple[str, ...]] = ()
     """Published task files use these model names, which select the task's MJCF."""
+    max_physics_step_s: ClassVar[float] = math.inf
+    """The physics makes more substeps than `task.sim.substeps` if those are longer than this."""
     _spec: mujoco.MjSpec | None = None
 
     def __init__(self, cfg: dict[str, Any], *args: Any, **kwargs: Any) -> None:
         env = cfg["env"]
-        self.sim_cfg: SimConfig = read_sim_config(cfg["sim"])
+        sim = read_sim_config(cfg["sim"])
+        substeps = max(sim.substeps, math.ceil(sim.dt / self.max_physics_step_s))
+        self.sim_cfg: SimConfig = dataclasses.replace(sim, substeps=substeps)
         self.env_cfg: Any = self.read_settings(env)
         self.max_episode_length = self.episode_length()
         self._model = self.build_model()
@@ -62,7 +69,7 @@ class MjcfTask(VecTask):
 
     def build_model(self) -> mujoco.MjModel:
         """Return the compiled model."""
-        path = asset_path(self.env_cfg.asset, self.default_asset, self.published_assets)
+        path = self.asset_path()
         friction = self.env_cfg.plane.dynamic_friction
 
         def keep_and_change(spec: mujoco.MjSpec) -> None:
@@ -70,6 +77,10 @@ class MjcfTask(VecTask):
             self.change_spec(spec)
 
         return compile_model(path, self.default_asset, self.sim_cfg, friction, keep_and_change)
+
+    def asset_path(self) -> Path:
+        """Return the path of the MJCF file that `task.env.asset` names."""
+        return asset_path(self.env_cfg.asset, self.default_asset, self.published_assets)
 
     def scene(self) -> mujoco.MjSpec | None:
         """Return the simulated model as a specification that can be written as MJCF.

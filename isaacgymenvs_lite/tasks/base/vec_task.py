@@ -81,6 +81,8 @@ class Done:
     FAILED: Final = 2
     DIVERGED: Final = 3
     """The episode ended because the simulation diverged, which is not the policy's fault."""
+    REACHED: Final = 4
+    """The episode ended because the task's goal was reached."""
 
 
 class ActionScaling(NamedTuple):
@@ -246,6 +248,8 @@ class VecTask(Env):
     progress_buf: Tensor
     actor_name: ClassVar[str] = "robot"
     """Name of the robot in `task.task.randomization_params.actor_params`."""
+    other_actors: ClassVar[dict[str, str]] = {}
+    """Maps the names of objects and furniture in `actor_params` to their first bodies."""
     starts_before_physics: ClassVar[bool] = False
     """Whether a step starts episodes before its physics (see the module docstring)."""
     zero_action_at_reset: ClassVar[bool] = False
@@ -291,7 +295,8 @@ class VecTask(Env):
         if section.get("randomize", False):
             params = section.get("randomization_params") or {}
             layout = ModelLayout.from_model(self.simulation.model)
-            self.randomizer = DomainRandomizer(params, self.simulation, layout, [self.actor_name])
+            actors = {self.actor_name: "", **self.other_actors}
+            self.randomizer = DomainRandomizer(params, self.simulation, layout, actors)
 
     # --- what a task fills in -------------------------------------------------------------
 
@@ -333,6 +338,18 @@ class VecTask(Env):
     def compute_failures(self) -> Tensor:
         """Return where (N,) an episode ends by a failure. The base method returns False."""
         return torch.zeros_like(self.timeout_buf)
+
+    def compute_reached(self) -> Tensor | None:
+        """Return where (N,) an episode ends because its goal is reached. None means nowhere."""
+        return None
+
+    def episode_successes(self) -> dict[str, Tensor]:
+        """Return by name how far the running episodes (N,) succeeded.
+
+        A value is 0 or 1, or a number of successes. Logs and evaluations contain the means over
+        episodes of the values at their ends.
+        """
+        return {}
 
     def compute_time_outs(self) -> Tensor:
         """Return where (N,) an episode reached its time limit, whether it failed or not."""
@@ -430,6 +447,9 @@ class VecTask(Env):
             if self._discarded is not None:
                 self.timeout_buf |= self.diverged_buf
             self.extras.update(self.infos())
+            if successes := self.episode_successes():
+                self.extras["successes"] = {n: self._for_trainer(s) for n, s in successes.items()}
+                self.extras["terminate"] = self._for_trainer(self.done_buf == Done.FAILED)
             self.extras["time_outs"] = self._for_trainer(self.timeout_buf)
             self.extras["diverged"] = self._for_trainer(self.diverged_buf)
             if self.randomizer is not None:
@@ -489,6 +509,8 @@ class VecTask(Env):
         """Write into the buffers which episodes end and why."""
         self.done_buf.copy_(self.compute_time_outs())
         self.done_buf.masked_fill_(self.compute_failures(), Done.FAILED)
+        if (reached := self.compute_reached()) is not None:
+            self.done_buf.masked_fill_(reached, Done.REACHED)
         if self._discarded is not None:
             self._write_discarded_codes()
         torch.sign(self.done_buf, out=self.reset_buf)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import mujoco
 import torch
 from torch import Tensor
 
@@ -13,7 +14,31 @@ from isaacgymenvs_lite.utils.rotations import cross_components
 # A contact sensor measures a force, a torque and a point. Frame sensors measure a position and
 # three axes.
 _CONTACT_SIZE, _FRAME_SIZE = 9, 12
-_FRAME_SENSORS = ("position", "xaxis", "yaxis", "zaxis")
+_FRAME_SENSORS = {
+    "position": mujoco.mjtSensor.mjSENS_FRAMEPOS,
+    "xaxis": mujoco.mjtSensor.mjSENS_FRAMEXAXIS,
+    "yaxis": mujoco.mjtSensor.mjSENS_FRAMEYAXIS,
+    "zaxis": mujoco.mjtSensor.mjSENS_FRAMEZAXIS,
+}
+_NET_FORCE = 3  # MuJoCo's number of reduce="netforce"
+
+
+def add_wrench_sensors(spec: mujoco.MjSpec, bodies: Sequence[str]) -> None:
+    """Add the sensors that `measure_wrenches` reads to a model."""
+    body = mujoco.mjtObj.mjOBJ_BODY
+    force, torque, point = (
+        int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{name}"))
+        for name in ("FORCE", "TORQUE", "POS")
+    )
+    for name in bodies:
+        sensor = spec.add_sensor(
+            name=f"wrench_{name}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=body, objname=name
+        )
+        sensor.intprm[:3] = (1 << force | 1 << torque | 1 << point, _NET_FORCE, 1)
+    for name in bodies:
+        for what, kind in _FRAME_SENSORS.items():
+            frame = mujoco.mjtObj.mjOBJ_XBODY
+            spec.add_sensor(name=f"{what}_{name}", type=kind, objtype=frame, objname=name)
 
 
 def measure_wrenches(simulation: SimulationBackend, bodies: Sequence[str]) -> Tensor:

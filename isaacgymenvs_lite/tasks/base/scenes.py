@@ -1,0 +1,234 @@
+"""Builds the scene of an arm or a hand in an MjSpec: the robot of a file, furniture and objects.
+
+The robot's file may be this project's own, or a user's file with names of its own, for example from
+MuJoCo's menagerie. A task names joints and bodies as IsaacGymEnvs does, with the names that other
+makers use beside them. Actuators, tendons and equality constraints of the file are replaced by the
+published drives.
+
+Collision bits: an arm and furniture do not collide with themselves. A hand collides with objects
+and, with `HAND_BITS`, with itself. Objects collide with everything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.robots.structure import add_stage
+
+Bits = tuple[int, int]
+"""The contype and the conaffinity of geoms."""
+ARM_BITS: Bits = (2, 5)
+FURNITURE_BITS: Bits = (4, 2)
+HAND_BITS: Bits = (4, 4)
+HAND_WITHOUT_SELF_CONTACT_BITS: Bits = (4, 0)
+OBJECT_BITS: Bits = (1, 5)
+
+_AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "r": (0, 0, 1)}
+
+Names = tuple[str, ...]
+"""The names of a joint or body: the published name, then the names in files of other makers."""
+
+
+@dataclass(frozen=True)
+class PositionDrive:
+    """A position drive: stiffness (Nm/rad or N/m), damping (Nm s/rad) and largest force (Nm, N)."""
+
+    stiffness: float
+    damping: float
+    effort: float
+
+
+def find_body(spec: mujoco.MjSpec, names: Names) -> mujoco.MjsBody:
+    """Return the body that has one of these names; raise ConfigError if there is none."""
+    return _find(spec.bodies, names, "body")
+
+
+def find_joint(spec: mujoco.MjSpec, names: Names) -> mujoco.MjsJoint:
+    """Return the joint that has one of these names; raise ConfigError if there is none."""
+    return _find(spec.joints, names, "joint")
+
+
+def _find(elements: Sequence[mujoco.MjsElement], names: Names, what: str) -> mujoco.MjsElement:
+    by_name = {element.name: element for element in elements}
+    for name in names:
+        if name in by_name:
+            return by_name[name]
+    raise ConfigError(
+        f"task.env.asset: the model has no {what} '{names[0]}'"
+        f"{''.join(f' or {name!r}' for name in names[1:])};"
+        f" it has {', '.join(name for name in by_name if name)}"
+    )
+
+
+def ensure_frame(
+    spec: mujoco.MjSpec, names: Names, parent: mujoco.MjsBody, pos: Sequence[float]
+) -> mujoco.MjsBody:
+    """Return the body that has one of these names, or add a massless body at `pos` (m)."""
+    for body in spec.bodies:
+        if body.name in names:
+            return body
+    return parent.add_body(name=names[0], pos=pos)
+
+
+def prepare_robot(spec: mujoco.MjSpec, root: mujoco.MjsBody, bits: Bits) -> None:
+    """Remove the file's controls, compensate the robot's weight, set its bits, and add a stage.
+
+    `root` is the robot's first body.
+    """
+    for thing in (*spec.actuators, *spec.tendons, *spec.equalities, *spec.sensors, *spec.keys):
+        spec.delete(thing)
+    if spec.geom("floor") is None:
+        add_stage(spec)
+    for body in subtree(root):
+        body.gravcomp = 1.0
+        set_bits(body.geoms, bits)
+
+
+def align_root(
+    spec: mujoco.MjSpec,
+    root: mujoco.MjsBody,
+    own: mujoco.MjSpec,
+    pairs: Iterable[tuple[mujoco.MjsJoint, mujoco.MjsJoint]],
+) -> None:
+    """Move a robot so that its joints are as near as possible to those of this project's model.
+
+    The frames of two models of a robot may differ, so the places of their joints in the reference
+    poses are compared (Kabsch 1976). The pairs contain a joint of `spec` and its counterpart in
+    `own`, and the joints of a model must not be on a line.
+    """
+    joints, counterparts = zip(*pairs, strict=True)
+    mine, theirs = _anchors_w(spec, joints), _anchors_w(own, counterparts)
+    centre, target = mine.mean(axis=0), theirs.mean(axis=0)
+    left, _, right = np.linalg.svd((theirs - target).T @ (mine - centre))
+    flips = np.diag([1.0, 1.0, np.linalg.det(left @ right)])
+    rotation = left @ flips @ right
+    quat, old = np.empty(4), np.array(root.quat)
+    mujoco.mju_mat2Quat(quat, rotation.ravel())
+    new = np.empty(4)
+    mujoco.mju_mulQuat(new, quat, old)
+    root.pos = rotation @ (np.array(root.pos) - centre) + target
+    root.quat = new
+
+
+def _anchors_w(spec: mujoco.MjSpec, joints: Iterable[mujoco.MjsJoint]) -> npt.NDArray[np.float64]:
+    model = spec.copy().compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return np.stack([data.xanchor[model.joint(joint.name).id] for joint in joints])
+
+
+def subtree(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
+    """Return a body and all bodies below it."""
+    return [body, *(below for child in body.bodies for below in subtree(child))]
+
+
+def topmost(body: mujoco.MjsBody) -> mujoco.MjsBody:
+    """Return the ancestor of a body that is a child of the world."""
+    while body.parent.name != "world":
+        body = body.parent
+    return body
+
+
+def set_bits(geoms: Iterable[mujoco.MjsGeom], bits: Bits) -> None:
+    """Set the contype and conaffinity of the geoms that can collide at all."""
+    for geom in geoms:
+        if geom.contype or geom.conaffinity:
+            geom.contype, geom.conaffinity = bits
+
+
+def add_position_drive(
+    spec: mujoco.MjSpec, joint: mujoco.MjsJoint, drive: PositionDrive, timestep_s: float
+) -> None:
+    """Add a position actuator that acts on the state after a step, as PhysX's drives do.
+
+    The module `drives` has the formula. MuJoCo's integrator `implicitfast` adds the damping to the
+    inertia, so a damping that is larger by the time step times the stiffness is sufficient.
+    """
+    actuator = _add_actuator(spec, joint, drive.effort)
+    damping = drive.damping + timestep_s * drive.stiffness
+    actuator.gainprm[0] = drive.stiffness
+    actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.biasprm[:3] = (0.0, -drive.stiffness, -damping)
+
+
+def add_finger_drive(
+    spec: mujoco.MjSpec, joint: mujoco.MjsJoint, drive: PositionDrive, timestep_s: float
+) -> None:
+    """Add a position drive for a light body, whose damping is not limited by the drive's effort.
+
+    With a limit, the actuator would throw a body of a few grams to and fro.
+    """
+    add_position_drive(spec, joint, PositionDrive(drive.stiffness, 0.0, drive.effort), 0.0)
+    joint.damping[:] = (drive.damping + timestep_s * drive.stiffness, 0.0, 0.0)
+
+
+def add_motor(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, effort: float) -> None:
+    """Add an actuator whose control is a torque (Nm) or force (newton) of at most `effort`."""
+    _add_actuator(spec, joint, effort).gainprm[0] = 1.0
+
+
+def _add_actuator(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, effort: float) -> mujoco.MjsActuator:
+    joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    actuator = spec.add_actuator(name=joint.name, target=joint.name)
+    actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    # The defaults of the file would otherwise also apply to the new actuators.
+    actuator.dyntype, actuator.gaintype = mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtGain.mjGAIN_FIXED
+    actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
+    actuator.ctrllimited = actuator.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    actuator.gainprm[:], actuator.biasprm[:] = 0, 0
+    actuator.gear[:] = (1, 0, 0, 0, 0, 0)
+    actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    actuator.forcerange[:] = (-effort, effort)
+    return actuator
+
+
+def add_placing_joints(body: mujoco.MjsBody, axes: str) -> tuple[str, ...]:
+    """Let each environment place a fixed body elsewhere; return the names of the joints.
+
+    The letters of `axes` are x, y and z for slides (m) and r for a rotation about z (rad). The
+    joints are too heavy and too slow to move in an episode, and stay at the values that are
+    written.
+    """
+    names = []
+    for axis in axes:
+        joint = body.add_joint(name=f"{body.name}_{axis}", axis=_AXES[axis])
+        is_slide = axis != "r"
+        joint.type = mujoco.mjtJoint.mjJNT_SLIDE if is_slide else mujoco.mjtJoint.mjJNT_HINGE
+        joint.armature = 1e4
+        joint.damping[:] = (1e7, 0.0, 0.0)
+        names.append(joint.name)
+    for below in subtree(body):
+        below.gravcomp = 1.0
+    return tuple(names)
+
+
+def add_box(
+    spec: mujoco.MjSpec,
+    name: str,
+    size_m: Sequence[float],
+    pos: Sequence[float],
+    rgba: Sequence[float],
+    density: float | None = None,
+) -> None:
+    """Add a box with edges `size_m` (3,) m. It is free if it has a density (kg/m^3), else fixed."""
+    body = spec.worldbody.add_body(name=name, pos=pos)
+    contype, conaffinity = FURNITURE_BITS
+    if density is not None:
+        body.add_freejoint(name=name)
+        contype, conaffinity = OBJECT_BITS
+    body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[0.5 * edge for edge in size_m],
+        density=density or 0.0,
+        contype=contype,
+        conaffinity=conaffinity,
+        condim=4,
+        rgba=rgba,
+    )
