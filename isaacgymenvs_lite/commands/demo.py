@@ -55,7 +55,7 @@ _POSES_OF_A_STRIP = 8
 # The policies in the README, which come first in lists of policies.
 _BEST_FIRST = (
     *("backflip", "spinkick", "g1_walk", "walk", "heading", "cartwheel", "run", "g1_velocity"),
-    *("getup", "locomotion_skills", "anymal", "humanoid", "ant"),
+    *("franka_cabinet", "allegro_hand", "getup", "locomotion_skills", "anymal", "humanoid", "ant"),
 )
 # Width and height of a panel in pixels, and number of control steps from frame to frame.
 _SIZES = {"mp4": (320, 480, 1), "webp": (200, 300, 2)}
@@ -173,7 +173,7 @@ def perform(name: str, seconds: float) -> Performance:
     cfg, num_steps = _tree(name, seconds)
     with load_player(cfg) as player:
         env = player.env
-        model, dt_s = env.simulation.model, env.dt
+        model, dt_s = env.simulation.model, env.control_dt_s
         has_goal = env.get_task_obs_size() > 0
         imitates = not has_goal and not _has_skills(cfg) and fits(env, ReferenceEnv)
         recorder = PoseRecorder(env, num_steps, range(1 if imitates else _SHOWN_EPISODES))
@@ -216,7 +216,8 @@ def _has_skills(cfg: DictConfig) -> bool:
 
 def _summary(result: EvaluationResult, cfg: DictConfig) -> str:
     if result.imitation is None:  # The task has no reference motion.
-        return f"return {result.reward:.1f} in {result.steps:.0f} steps"
+        successes = [f"{n.replace('_', ' ')} {mean:.2f}" for n, mean in result.successes.items()]
+        return ", ".join((*successes, f"return {result.reward:.1f} in {result.steps:.0f} steps"))
     parts = [f"{name} {error:.3f}" for name, error in result.goal_errors.items()]
     if cfg.train.params.network.name == "hrl":  # Policies with random skills have no task reward.
         parts.append(f"task reward {result.reward / result.steps:.2f} per step")

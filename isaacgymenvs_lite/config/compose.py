@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.staging import GROUPS, REFUSED, ROOT, StagedFiles, staged
 from isaacgymenvs_lite.errors import ConfigError, one_line, unknown
-from isaacgymenvs_lite.paths import PARTS, cfg_dir
+from isaacgymenvs_lite.paths import PARTS
 from isaacgymenvs_lite.schema import leaves, nearest
 
 ANY_TRAIN_FILE = "CartpolePPO"
@@ -35,17 +35,13 @@ ComposeError = (HydraException, OmegaConfBaseException, ValueError, RecursionErr
 _ALIKE = 0.75
 # Maps the beginning of a published task's name to a description.
 _PUBLISHED_TASKS = {
-    "AllegroHand": "a hand that turns an object",
+    "AllegroHandDextreme": "DeXtreme's hand that turns an object",
     "AllegroKuka": "a Kuka arm with an Allegro hand",
     "AutoMate": "assembly with a Franka arm",
     "Factory": "assembly with a Franka arm",
-    "FrankaCabinet": "a Franka arm that opens a drawer",
-    "FrankaCubeStack": "a Franka arm that stacks cubes",
     "HumanoidAMPGetup": "ASE's humanoid that gets up, here HumanoidASEGetup",
     "IndustReal": "assembly with a Franka arm",
-    "ShadowHand": "a hand that turns an object",
     "TacSL": "assembly with a Franka arm",
-    "Trifinger": "three fingers that move a cube",
 }
 _PLUGINS = ("optuna", "joblib", "submitit_local", "submitit_slurm")
 
@@ -227,10 +223,10 @@ def _unknown_key(key: str, files: StagedFiles) -> ConfigError:
 def missing_task(name: str) -> str | None:
     """Return a message if `name` is a published task that this project lacks, else None.
 
-    The name may also be a train file's name, for example `ShadowHandPPOAsymmLSTM`.
+    The name may also be a train file's name, for example `AllegroKukaPPO`.
     """
     family = next((known for known in _PUBLISHED_TASKS if name.startswith(known)), None)
-    if family is None or (cfg_dir() / "task" / f"{name}.yaml").is_file():
+    if family is None:
         return None
     task = re.sub(r"(?:PPO|SAC)\w*$", "", name)
     return f"{task} is a published task ({_PUBLISHED_TASKS[family]}) that is not here"

@@ -14,7 +14,7 @@ Points = npt.NDArray[np.float64]
 # fixed robot.
 _ROOM, _WHOLE = 2.6, 2.1
 _MARGIN = 1.4  # for parts of the robot that are closer to the camera than the root
-_MIN_DISTANCE_M = 1.6
+_MIN_DISTANCE_M, _MIN_FIXED_DISTANCE_M = 1.6, 0.9
 # Least height (m) above the ground, in the default pose, at which a robot is a flying robot.
 _FLIES_M = 0.3
 _ELEVATION_DEG = -12.0
@@ -53,7 +53,7 @@ class View:
         if not moves_about:
             x, y, height = (float(value) for value in 0.5 * (low + high))
             azimuth_deg = 90.0 if half_size[0] > half_size[1] else 180.0
-            distance_m = max(_MIN_DISTANCE_M, _WHOLE * half_diagonal)
+            distance_m = max(_MIN_FIXED_DISTANCE_M, _WHOLE * half_diagonal)
             return cls(azimuth_deg, _ELEVATION_DEG, distance_m, height, (x, y), moves_about=False)
         terrain = model.nhfield > 0
         flies = not terrain and float(low[2]) > _FLIES_M

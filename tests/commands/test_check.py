@@ -240,9 +240,9 @@ def train_file(folder: Path, name: str, run: str = "") -> Path:
 
 def test_train_files_of_published_tasks_are_not_checked_with_another(tmp_path: Path) -> None:
     for name, run, task in [
-        ("FrankaCabinetPPO", "FrankaCabinet", "FrankaCabinet"),
-        ("FrankaCabinetPPO", "", "FrankaCabinet"),
-        ("ShadowHandPPOAsymmLSTM", "ShadowHandAsymmLSTM", "ShadowHand"),
+        ("AllegroKukaPPO", "AllegroKuka", "AllegroKuka"),
+        ("FactoryTaskGearsPPO", "", "FactoryTaskGears"),
+        ("AllegroHandDextremeADRPPO", "AllegroHandADR", "AllegroHandDextremeADR"),
         ("mine", "IndustRealTaskPegsInsert", "IndustRealTaskPegsInsert"),
     ]:
         file = train_file(tmp_path, name, run)
@@ -255,9 +255,9 @@ def test_train_files_of_published_tasks_are_not_checked_with_another(tmp_path: P
 
 def test_task_files_of_published_tasks(tmp_path: Path) -> None:
     for text in [
-        "name: FrankaCubeStack\nenv: {numEnvs: 3}\nsim: {}\n",
+        "name: FactoryTaskGears\nenv: {numEnvs: 3}\nsim: {}\n",
         "defaults: [_self_, {env: reorientation}]\nname: AllegroKuka\nenv: {numEnvs: 3}\n",
-        "name: Trifinger\nenv: {numEnvs: 3}\nsim: {dt: .nan}\n",
+        "name: AllegroHandDextremeADR\nenv: {numEnvs: 3}\nsim: {dt: .nan}\n",
     ]:
         file = tmp_path / "any.yaml"
         file.write_text(text)

@@ -12,10 +12,11 @@ from isaacgymenvs_lite.tasks import find_task
 
 
 def test_published_tasks_and_their_files_are_explained() -> None:
-    names = ("AllegroKukaTwoArmsLSTM", "FrankaCabinetPPO", "FactoryTaskNutBoltPick", "Trifinger")
+    names = ("AllegroKukaTwoArmsLSTM", "FactoryTaskGearsPPO", "AllegroHandDextremeADR")
     assert all("is a published task (" in (missing_task(name) or "") for name in names)
-    assert (missing_task("ShadowHandPPOAsymmLSTM") or "").startswith("ShadowHand is a published")
-    assert [missing_task(name) for name in ("Ant", "AntPPO", "MyRobot")] == [None] * 3
+    assert (missing_task("AllegroKukaPPOLSTM") or "").startswith("AllegroKuka is a published")
+    here = ("Ant", "AntPPO", "ShadowHandPPOAsymm", "AllegroHandLSTM", "MyRobot")
+    assert [missing_task(name) for name in here] == [None] * 5
 
 
 def test_the_task_in_a_train_files_name() -> None:
@@ -29,24 +30,24 @@ def test_the_task_in_a_train_files_name() -> None:
         assert longest_task(stem, ["My", "MyRobot", "X", "mine", "min"]) == task
 
 
-SAID = "ShadowHand is a published task .* that is not here"
+SAID = "AllegroKuka is a published task .* that is not here"
 
 
 def test_every_way_in_says_it() -> None:
-    with pytest.raises(ConfigError, match=f"{SAID}; choices: Ant, "):
-        compose(["task=ShadowHand"])
+    with pytest.raises(ConfigError, match=f"{SAID}; choices: AllegroHand, "):
+        compose(["task=AllegroKuka"])
     with pytest.raises(ConfigError, match=SAID):
-        compose_task("ShadowHand")
+        compose_task("AllegroKuka")
     with pytest.raises(ConfigError, match=SAID):
-        isaacgymenvs_lite.make(task="ShadowHand", num_envs=2)
+        isaacgymenvs_lite.make(task="AllegroKuka", num_envs=2)
     with pytest.raises(ConfigError, match=f"task.name: {SAID}"):
-        find_task("ShadowHand")
+        find_task("AllegroKuka")
     with pytest.raises(ConfigError, match=SAID):
-        compose(["task=Ant", "train=ShadowHandPPOLSTM"])
+        compose(["task=Ant", "train=AllegroKukaPPOLSTM"])
 
 
 def test_names_of_nobody_are_unknown() -> None:
-    with pytest.raises(ConfigError, match="unknown task 'Shadows'; choices"):
-        compose(["task=Shadows"])
+    with pytest.raises(ConfigError, match="unknown task 'Kukas'; choices"):
+        compose(["task=Kukas"])
     with pytest.raises(ConfigError, match="unknown pbt 'other'"):
         compose(["task=Ant", "pbt=other"])

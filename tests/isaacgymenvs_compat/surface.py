@@ -56,15 +56,28 @@ NAMES: dict[str, str] = {
     """,
     "tasks.amp.utils_amp.motion_lib": "DOF_BODY_IDS DOF_OFFSETS MotionLib",
     "tasks.ant": "Ant compute_ant_observations compute_ant_reward",
+    "tasks.allegro_hand": """
+        AllegroHand compute_hand_reward randomize_rotation randomize_rotation_pen
+    """,
     "tasks.anymal": "Anymal compute_anymal_observations compute_anymal_reward",
     "tasks.anymal_terrain": "AnymalTerrain Terrain quat_apply_yaw wrap_to_pi",
     "tasks.ball_balance": "BallBalance compute_bbot_reward",
     "tasks.base.vec_task": "EXISTING_SIM Env SCREEN_CAPTURE_RESOLUTION VecTask",
     "tasks.cartpole": "Cartpole compute_cartpole_reward",
+    "tasks.franka_cabinet": "FrankaCabinet compute_franka_reward compute_grasp_transforms",
+    "tasks.franka_cube_stack": "FrankaCubeStack axisangle2quat compute_franka_reward",
     "tasks.humanoid": "Humanoid compute_humanoid_observations compute_humanoid_reward",
     "tasks.humanoid_amp": "HumanoidAMP NUM_AMP_OBS_PER_STEP build_amp_observations",
     "tasks.ingenuity": "Ingenuity compute_ingenuity_reward",
     "tasks.quadcopter": "Quadcopter compute_quadcopter_reward",
+    "tasks.shadow_hand": """
+        ShadowHand compute_hand_reward randomize_rotation randomize_rotation_pen
+    """,
+    "tasks.trifinger": """
+        CuboidalObject Trifinger TrifingerDimensions compute_trifinger_observations_states
+        compute_trifinger_reward default_orientation gen_keypoints lgsk_kernel random_angular_vel
+        random_orientation random_orientation_within_angle random_xy random_yaw_orientation random_z
+    """,
     "utils.dr_utils": """
         apply_random_samples check_buckets generate_random_samples get_bucketed_val
         get_default_setter_args get_property_getter_map get_property_setter_map
@@ -90,8 +103,6 @@ MODULES: tuple[str, ...] = (
         f"pbt.launcher.{name}"
         for name in ("run", "run_description", "run_ngc", "run_processes", "run_slurm")
     ),
-    *("tasks.allegro_hand", "tasks.shadow_hand", "tasks.trifinger"),
-    *("tasks.franka_cabinet", "tasks.franka_cube_stack"),
     *("tasks.dextreme.adr_vec_task", "tasks.dextreme.allegro_hand_dextreme"),
     *(
         f"tasks.allegro_kuka.allegro_kuka_{name}"
@@ -135,16 +146,22 @@ _STAND_IN = "can be imported; using it says what to do instead"
 
 # module.name -> what it differs in; the name is there.
 OTHER: dict[str, str] = {
+    "tasks.allegro_hand.compute_hand_reward": _TERMS,
     "tasks.ant.compute_ant_observations": _QUANTITIES,
     "tasks.ant.compute_ant_reward": _TERMS,
     "tasks.anymal.compute_anymal_observations": _QUANTITIES,
     "tasks.anymal.compute_anymal_reward": _TERMS,
     "tasks.ball_balance.compute_bbot_reward": _TERMS,
     "tasks.cartpole.compute_cartpole_reward": _TERMS,
+    "tasks.franka_cabinet.compute_franka_reward": _TERMS,
+    "tasks.franka_cabinet.compute_grasp_transforms": "knows the local grasp poses",
+    "tasks.franka_cube_stack.compute_franka_reward": _TERMS,
     "tasks.humanoid.compute_humanoid_observations": _QUANTITIES,
     "tasks.humanoid.compute_humanoid_reward": _TERMS,
     "tasks.ingenuity.compute_ingenuity_reward": _TERMS,
     "tasks.quadcopter.compute_quadcopter_reward": _TERMS,
+    "tasks.shadow_hand.compute_hand_reward": _TERMS,
+    "tasks.trifinger.compute_trifinger_reward": _TERMS,
     "utils.dr_utils.apply_random_samples": _STAND_IN,
     "utils.dr_utils.check_buckets": _STAND_IN,
     "utils.dr_utils.get_default_setter_args": _STAND_IN,
@@ -159,14 +176,18 @@ ABSENT: dict[str, str] = {
     **{
         f"tasks.{name}": "a task that is not here yet"
         for name in NAMES["tasks"].split()
-        if name.startswith(
-            ("Allegro", "Factory", "Franka", "IndustReal", "Shadow", "Tri", "resolve_")
-        )
+        if name.startswith(("AllegroHandD", "AllegroK", "Factory", "IndustReal", "resolve_"))
     },
     "pbt.pbt.PbtParams": "config.pbt_settings.read_pbt_settings",
     "tasks.anymal_terrain.Terrain": "tasks/terrain makes the ground",
     "tasks.anymal_terrain.quat_apply_yaw": "calc_heading_quat and quat_apply",
     "tasks.anymal_terrain.wrap_to_pi": "normalize_angle",
+    "tasks.franka_cube_stack.axisangle2quat": "exp_map_to_quat",
+    "tasks.trifinger.CuboidalObject": "constants of the module",
+    "tasks.trifinger.TrifingerDimensions": "constants of the module",
+    "tasks.trifinger.compute_trifinger_observations_states": "Trifinger.compute_obs, compute_states",
+    "tasks.trifinger.random_angular_vel": "no task uses it",
+    "tasks.trifinger.random_orientation_within_angle": "no task uses it",
     "tasks.base.vec_task.EXISTING_SIM": "each task has a simulation of its own",
     "tasks.base.vec_task.SCREEN_CAPTURE_RESOLUTION": "pictures are drawn, no screen is captured",
 }

@@ -373,7 +373,7 @@ class InHandTask(MjcfTask):
         state, cfg = self._object(), self.env_cfg
         self.goal_distance = (state[:, :3] - self.goal_pos).norm(dim=-1)
         self.goal_angle = quat_diff_rad(state[:, 3:7], self.goal_rot)
-        is_near = self.goal_angle.abs() <= cfg.tolerance_rad
+        is_near = (self.goal_angle.abs() <= cfg.tolerance_rad) & ~self.diverged_buf
         self.reset_goal_buf |= is_near
         self.successes += self.reset_goal_buf
         if cfg.max_consecutive_successes > 0:
