@@ -112,7 +112,8 @@ def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
             lines = [f"{path.name}: a task file, of the task {task}"]
         else:
             hint = "; task=<name> checks it with another" if guessed else ""
-            lines = [f"{path.name}: a train file, checked with task={task}{hint}"]
+            with_task = next(word for word in reversed(words) if word.startswith("task="))
+            lines = [f"{path.name}: a train file, checked with {with_task}{hint}"]
         from isaacgymenvs_lite.tasks.registry import is_task  # torch, as in `_describe_composed`
 
         known = kind == "train" or is_task(task)
@@ -250,12 +251,17 @@ def _task_of(path: Path, content: DictConfig) -> str:
 
 
 def _train_file_of(path: Path, name: str) -> str | None:
-    """Return the name of the train file for a task file, or None if no train file exists."""
+    """Return the train file for a task file, or None if no train file exists.
+
+    As for train.py, a file in the folder `train` beside the task file's folder comes first.
+    """
+    beside = path.parent.parent / "train" / f"{path.stem}PPO.yaml"
+    if beside.is_file():
+        return str(beside)
     for train in (f"{path.stem}PPO", path.stem, f"{name}PPO"):  # path.stem matches HumanoidSAC.
         if (cfg_dir() / "train" / f"{train}.yaml").is_file():
             return train
-    beside = path.parent.parent / "train" / f"{path.stem}PPO.yaml"
-    return str(beside) if beside.is_file() else None
+    return None
 
 
 def _run_name(content: DictConfig) -> str:

@@ -38,8 +38,9 @@ class MeasurementObserver(Stateful, AlgoObserver):
 
     The observer also writes the errors of a task's goal, for example `goal/velocity_error_m_s`. For
     a task without reference motions it writes `measured/reward`, and the policy with the highest
-    measured reward is the run's best checkpoint. rl_games would choose the checkpoint by the last
-    training episodes, which may be many epochs old.
+    measured reward is the run's best checkpoint. If the task counts successes, the policy with the
+    most successes is, and the reward decides between equal policies. rl_games would choose the
+    checkpoint by the last training episodes, which may be many epochs old.
 
     The evaluation has a separate simulation, so that it does not disturb the training. Its fixed
     seed makes all evaluations start from the same states. An evaluation is postponed while all
@@ -64,8 +65,9 @@ class MeasurementObserver(Stateful, AlgoObserver):
     _SEED = 1234
     best_pose_error_m: float | None = None
     best_reward: float | None = None
+    best_success = 0.0
     best_epoch = 0
-    stored = ("best_pose_error_m", "best_reward", "best_epoch")
+    stored = ("best_pose_error_m", "best_reward", "best_success", "best_epoch")
 
     def __init__(
         self,
@@ -128,8 +130,11 @@ class MeasurementObserver(Stateful, AlgoObserver):
         if measured is not None and math.isfinite(measured.pose_error_m):
             best = self.best_pose_error_m
             self.best_pose_error_m = min(measured.pose_error_m, math.inf if best is None else best)
-        if self.best_reward is None or result.reward > self.best_reward:
-            self.best_reward, self.best_epoch = result.reward, self._epoch
+        success = sum(result.successes.values())
+        best = (self.best_success, self.best_reward)
+        if best[1] is None or (success, result.reward) > best:
+            self.best_success, self.best_reward = success, result.reward
+            self.best_epoch = self._epoch
             if self.chooses_best:
                 self._algo.save_best()
         self._write(result, frame)
@@ -139,7 +144,13 @@ class MeasurementObserver(Stateful, AlgoObserver):
         if self.last is None or self.best_reward is None or not self.chooses_best:
             return ""
         lost = self.best_reward - self.last.reward
-        if lost <= _NOTABLE * abs(self.best_reward):
+        lost_success = self.best_success - sum(self.last.successes.values())
+        if lost_success > _NOTABLE * self.best_success:
+            return (
+                f"the last policy succeeds less often than the best one, after epoch"
+                f" {self.best_epoch}"
+            )
+        if self.last.successes or lost <= _NOTABLE * abs(self.best_reward):
             return ""
         return (
             f"the last policy earns {self.last.reward:.4g}, less than the best one"

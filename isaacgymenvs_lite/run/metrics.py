@@ -28,8 +28,8 @@ class EpochMetrics:
         fall_rate: share of the last episodes that ended by a fall, 0 to 1. For a task without
             `terminate`, an episode that ended before the time limit counts as a fall.
         off_clip_rate: share of the last episodes that ended because the character left its clip.
-        successes: means of `VecTask.episode_successes` at the ends of the last episodes.
         train_info: `CommonAgent.train_info_means`; empty for the agents of rl_games.
+        successes: means of `VecTask.episode_successes` at the ends of the last episodes.
     """
 
     epoch: int
@@ -38,8 +38,8 @@ class EpochMetrics:
     episode_reward: float | None = None
     fall_rate: float | None = None
     off_clip_rate: float | None = None
-    successes: Mapping[str, float] = field(default_factory=dict)
     train_info: Mapping[str, float] = field(default_factory=dict)
+    successes: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def early_end_rate(self) -> float | None:
@@ -134,8 +134,8 @@ class MetricsObserver(Stateful, AlgoObserver):
             episode_reward=algo.game_rewards.mean.flatten()[0].item() if has_episodes else None,
             fall_rate=_mean(self._falls),
             off_clip_rate=_mean(self._off_clip),
-            successes={n: m.mean.item() for n, m in self._successes.items() if m.current_size > 0},
             train_info=algo.train_info_means() if hasattr(algo, "train_info_means") else {},
+            successes={n: m.mean.item() for n, m in self._successes.items() if m.current_size > 0},
         )
         if latest.episode_reward is not None:
             best = self.best_reward

@@ -163,8 +163,7 @@ class SimulationBackend(Protocol):
         """Return the rows and columns of k degrees of freedom of the mass matrix, (N, k, k).
 
         The unit is kg m^2 for hinges and kg for slides. The matrix includes armatures, and belongs
-        to the current state. The tensor is new in each call. After the first call, each step
-        computes the matrix.
+        to the current state. The tensor is new in each call.
         """
         ...
 

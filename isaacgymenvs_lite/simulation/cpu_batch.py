@@ -8,6 +8,7 @@ work.
 
 from __future__ import annotations
 
+import copy
 import itertools
 import logging
 import time
@@ -45,13 +46,17 @@ MAX_SPEED = 1000.0
 # Least work of a thread. Waking a thread takes some 10 us, on a busy machine 100 us.
 _WORK_PER_THREAD_S = 50e-6
 _TIMED_STEPS = 5
+# A batch with these flags computes positions and mass matrices only.
+_NO_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+# The mass matrix depends on these fields and on the joints' axes and places, which do not change.
+_MASS_FIELDS = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_armature"}
 # Largest number of recordings that are kept until somebody reads them.
 _MAX_RECORDINGS = 8
 # Attributes that are views of the batch's memory.
 _VIEWS = (
     *("_state_rows", "_qpos_rows", "_qvel_rows", "_object_qpos", "_object_qvel"),
     *("_warmstart_rows", "_warnings", "_ctrl64", "_contacts", "_sensor_rows", "_force_rows"),
-    *("_history", "_own_fields", "_mass_rows", "_applied_rows"),
+    *("_history", "_own_fields", "_positions", "_applied_rows"),
 )
 
 
@@ -85,8 +90,8 @@ class CpuBatchSimulation:
         self.num_failures = 0
         self.recordings: list[Recording] = []
         self._own_fields: dict[str, npt.NDArray[Any]] = {}
-        # Each step computes this stage at its new state.
-        self._stage = _STAGE_NONE
+        self._positions: Batch | None = None
+        self._positions_are_current = False
         batch = Batch(
             model, num_envs, num_threads or _worthwhile_threads(model, num_envs, substeps)
         )
@@ -108,7 +113,6 @@ class CpuBatchSimulation:
         self._ctrl64 = torch.from_numpy(batch.bind("ctrl"))
         self._sensor_rows = batch.bind("sensordata")
         self._force_rows: list[np.ndarray] | None = None
-        self._mass_rows: np.ndarray | None = None
         self._applied_rows: np.ndarray | None = None
         # (N, warnings, [last info, count]) -> counts
         self._warnings = batch.warning[:, _DIVERGED, 1]
@@ -245,36 +249,45 @@ class CpuBatchSimulation:
 
     def jacobian(self, body: str, dofs: Sequence[str]) -> Tensor:
         """Return the Jacobian (N, 6, k) of a body; see `SimulationBackend.jacobian`."""
-        place = _index(self.body_names, body, "body")
+        place = 1 + _index(self.body_names, body, "body")
         columns = self._dof_columns(dofs)
-        origin = self.body_pos[:, place].numpy()
-        rows = np.concatenate(self.batch.jac(1 + place, origin), axis=1)
-        return torch.from_numpy(rows[:, :, columns]).float()
+        batch = self._current_positions()
+        # MuJoCo's motion axes belong to the centre of mass of the tree.
+        centre = batch.bind("subtree_com")[:, self.model.body_rootid[place]]
+        lever = torch.from_numpy(batch.bind("xpos")[:, place] - centre).float()
+        axes = torch.from_numpy(batch.bind("cdof")[:, columns].astype(np.float32))
+        axes *= torch.from_numpy(_moves(self.model, place)[columns, None])
+        angular, linear = axes.split(3, dim=-1)
+        linear = linear + torch.linalg.cross(angular, lever[:, None].expand_as(angular))
+        return torch.cat((linear, angular), dim=-1).transpose(1, 2)
 
     def mass_matrix(self, dofs: Sequence[str]) -> Tensor:
         """Return a part (N, k, k) of the mass matrix; see `SimulationBackend.mass_matrix`."""
-        rows = self._mass_rows
-        if rows is None:
-            self._mass_rows = rows = self.batch.bind("M")
-            self._mass_places = _mass_places(self.model)
-            self._stage = _STAGE_POS
-            self._compute_mass_rows(np.arange(self.num_envs))
-        elif self._written.any():
-            self._compute_mass_rows(np.flatnonzero(self._written))
         columns = self._dof_columns(dofs)
+        matrices = self._current_positions().bind("M")
         places = self._mass_places[np.ix_(columns, columns)]
-        matrix = rows[:, places] * (places >= 0)
-        return torch.from_numpy(matrix).float()
+        return torch.from_numpy((matrices[:, places] * (places >= 0)).astype(np.float32))
 
-    def _compute_mass_rows(self, rows: np.ndarray) -> None:
-        """Compute the mass matrices of simulations (n,) at their current states."""
-        # The measurements of the last step, which `forward` would overwrite, stay.
-        kept = [(values, values[rows]) for values in (self._sensor_rows, *(self._force_rows or ()))]
-        self.batch.forward(rows, _STAGE_POS)
-        for values, before in kept:
-            values.flags.writeable = True
-            values[rows] = before
-            values.flags.writeable = False
+    def _current_positions(self) -> Batch:
+        """Return a batch that has computed positions and mass matrices of the current state.
+
+        It has no contacts, which are most of the work. The batch is made at the first use.
+        """
+        batch = self._positions
+        if batch is None:
+            model = copy.copy(self.model)
+            model.opt.disableflags |= _NO_CONTACTS
+            self._positions = batch = Batch(model, self.num_envs, self.num_threads)
+            self._mass_places = _mass_places(model)
+            for field in ("M", "cdof", "xpos", "subtree_com"):
+                batch.bind(field)
+        if not self._positions_are_current:
+            batch.bind("qpos")[:] = self._qpos_rows
+            for field in _MASS_FIELDS.intersection(self._own_fields):
+                batch.expand(field)[:] = self._own_fields[field]
+            batch.forward(stage=_STAGE_POS)
+            self._positions_are_current = True
+        return batch
 
     def _dof_columns(self, dofs: Sequence[str]) -> np.ndarray:
         """Return the columns of qvel of named degrees of freedom."""
@@ -295,11 +308,13 @@ class CpuBatchSimulation:
         """Return a field's values for each environment; see `SimulationBackend.expand`."""
         values = self.batch.expand(field)
         self._own_fields[field] = values
+        self._positions_are_current = False
         return values
 
     def update_constants(self, env_ids: npt.NDArray[np.integer]) -> None:
         """See `SimulationBackend.update_constants`."""
         self.batch.set_const(env_ids)
+        self._positions_are_current = False
 
     def set_controls(self, controls: Tensor) -> None:
         """Set the actuators' controls, (N, U), for the next steps."""
@@ -311,14 +326,14 @@ class CpuBatchSimulation:
         batch = self.batch
         self._history.add()
         try:
-            batch.step(nstep=self.substeps, stage=self._stage)
+            batch.step(nstep=self.substeps)
             raised = None
         except SimulationError as error:
             log.debug("%s", error)
             raised = error.ids
         if self._applied_rows is not None:
             self._applied_rows[:] = 0.0
-        self._written[:] = False
+        self._written[:] = self._positions_are_current = False
         self._refresh()
         self._recover(batch, raised)
 
@@ -343,6 +358,7 @@ class CpuBatchSimulation:
         batch.reset(rows, stage=_STAGE_NONE)
         self._warnings[rows] = 0
         self._written[rows] = True
+        self._positions_are_current = False
         self._history.restart(rows)
         self._refresh_rows(rows, self._qpos_rows[rows], self._qvel_rows[rows])
 
@@ -370,6 +386,7 @@ class CpuBatchSimulation:
         self._qpos_rows[rows] = qpos
         self._qvel_rows[rows] = qvel
         self._written[rows] = True
+        self._positions_are_current = False
         self._history.restart(rows)
         self._refresh_rows(rows, qpos, qvel)
 
@@ -408,13 +425,12 @@ class CpuBatchSimulation:
             if measured:
                 rows.flags.writeable = False
         self.num_failures = int(state["num_failures"])
+        self._positions_are_current = False
         self._buffers.bodies_are_current, self._buffers.has_body_velocities = map(
             bool, state["bodies"]
         )
         if self._own_fields:
             self.batch.set_const(np.arange(self.num_envs))
-        if self._mass_rows is not None:
-            self._compute_mass_rows(np.arange(self.num_envs))
 
     def _memory(self) -> dict[str, np.ndarray]:
         """Return the arrays on which later steps depend or which are read before the next step."""
@@ -461,6 +477,15 @@ def _index(names: Sequence[str], name: str, what: str) -> int:
     if name not in names:
         raise ConfigError(unknown(f"{what} of the model", name, names))
     return names.index(name)
+
+
+def _moves(model: mujoco.MjModel, body: int) -> npt.NDArray[np.bool_]:
+    """Return which degrees of freedom (nv,) move a body."""
+    ancestors = set()
+    while body > 0:
+        ancestors.add(body)
+        body = int(model.body_parentid[body])
+    return np.isin(model.dof_bodyid, list(ancestors))
 
 
 def _mass_places(model: mujoco.MjModel) -> npt.NDArray[np.intp]:

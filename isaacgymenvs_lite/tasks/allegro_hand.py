@@ -28,7 +28,7 @@ from isaacgymenvs_lite.tasks.base.in_hand import (
     randomize_rotation,
     randomize_rotation_pen,
 )
-from isaacgymenvs_lite.tasks.base.scenes import PositionDrive
+from isaacgymenvs_lite.tasks.base.scenes import PositionDrive, limit_speed
 
 __all__ = ["AllegroHand", "compute_hand_reward", "randomize_rotation", "randomize_rotation_pen"]
 
@@ -36,6 +36,7 @@ __all__ = ["AllegroHand", "compute_hand_reward", "randomize_rotation", "randomiz
 _FINGERS = {"index": "ff", "middle": "mf", "ring": "rf", "thumb": "th"}
 _DRIVE = PositionDrive(stiffness=3.0, damping=0.1, effort=0.5)
 _ARMATURE = 0.001  # kg m^2
+_MAX_SPEED_RAD_S = 6.283
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +72,8 @@ class AllegroHand(InHandTask):
     observation_types = (FULL_NO_VEL, FULL, FULL_STATE)
 
     def change_joints(self, spec: mujoco.MjSpec, joints: Sequence[mujoco.MjsJoint]) -> None:
-        """Set armatures and remove damping and friction."""
+        """Set armatures, and a drag that limits the speed."""
         for joint in joints:
-            joint.damping[:] = 0.0
+            limit_speed(joint, _DRIVE.effort, _MAX_SPEED_RAD_S)
             joint.armature = _ARMATURE
             joint.frictionloss = 0.0

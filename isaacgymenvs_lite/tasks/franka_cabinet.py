@@ -46,7 +46,7 @@ from isaacgymenvs_lite.tasks.base.scenes import (
     topmost,
 )
 from isaacgymenvs_lite.tasks.base.task_config import AssetConfig
-from isaacgymenvs_lite.utils.rotations import quat_apply, quat_mul
+from isaacgymenvs_lite.utils.rotations import length, quat_apply, quat_mul
 from isaacgymenvs_lite.utils.scaling import unscale
 
 _ARM_STIFFNESS, _ARM_DAMPING = 400.0, 80.0
@@ -141,7 +141,7 @@ def compute_franka_reward(
         right_finger_pos: (N, 3) m.
         cfg: the reward scales.
     """
-    distance = (hand_grasp_pos - drawer_grasp_pos).norm(dim=-1)
+    distance = length(hand_grasp_pos - drawer_grasp_pos)
     near = (1.0 / (1.0 + distance.square())).square()
     near = torch.where(distance <= _GRASPED_M, 2.0 * near, near)
     forward = _dot(_axis(hand_grasp_rot, 2), -_axis(drawer_grasp_rot, 0))
@@ -234,11 +234,12 @@ class FrankaCabinet(FrankaTask):
         drawer = find_body(cabinet, ("drawer_top",))
         self._drawer_name = _PREFIX + drawer.name
         self._drawer_joint = _PREFIX + find_joint(cabinet, ("drawer_top_joint",)).name
+        for geom in cabinet.worldbody.geoms:  # a floor of a user's file
+            cabinet.delete(geom)
         root = topmost(drawer)
         for body in subtree(root):
             set_bits(body.geoms, FURNITURE_BITS)
         spec.attach(cabinet, prefix=_PREFIX, frame=spec.worldbody.add_frame(pos=_CABINET_POS_M))
-        root = spec.body(_PREFIX + root.name)
         if self.env_cfg.start_position_noise > 0:
             self.placing_joints = add_placing_joints(root, "xyz")
         per_row = math.ceil(math.sqrt(self.env_cfg.num_props))
@@ -334,4 +335,9 @@ class FrankaCabinet(FrankaTask):
         half = 0.5 * self.env_cfg.start_position_noise
         places = torch.stack((x - half, y - half, 0.5 * z), dim=-1)
         self.write_joints(env_ids, pos, places[:, : len(self.placing_joints)])
+        if self.placing_joints and self.simulation.object_names:
+            props = self.simulation.object_states.index_select(0, env_ids).clone()
+            props[..., :3] += places[:, None]
+            numbers = torch.arange(props.shape[1], device=self.device)
+            self.simulation.write_object_states(env_ids, numbers, props)
         self.targets.index_copy_(0, env_ids, pos)

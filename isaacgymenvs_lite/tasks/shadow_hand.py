@@ -46,6 +46,7 @@ _ARMATURE, _WRIST_ARMATURE = 0.001, 0.005  # kg m^2
 # A tendon of each finger couples its last two joints: 0.00705 J0 - 0.00805 J1, in m.
 _TENDON_COEFFICIENTS = {"J0": 0.00705, "J1": -0.00805}
 _TENDON_LIMIT_M = 0.001
+_TENDON_DAMPING = 0.1  # N s/m
 
 
 def _names(joint: str) -> Names:
@@ -61,7 +62,8 @@ class ShadowHand(InHandTask):
     joints = tuple(_names(joint) for joint in _JOINTS)
     drives: ClassVar[dict[int, PositionDrive]] = {
         number: PositionDrive(
-            _WRIST_STIFFNESS if joint.startswith("WR") else _STIFFNESS, 0.0, _EFFORTS_NM[joint]
+            *((_WRIST_STIFFNESS, _WRIST_DAMPING) if "WR" in joint else (_STIFFNESS, _DAMPING)),
+            _EFFORTS_NM[joint],
         )
         for number, joint in enumerate(_JOINTS)
         if joint in _EFFORTS_NM
@@ -83,12 +85,13 @@ class ShadowHand(InHandTask):
     def change_joints(self, spec: mujoco.MjSpec, joints: Sequence[mujoco.MjsJoint]) -> None:
         """Set dampings and armatures, and couple the last two joints of the fingers."""
         for name, joint in zip(_JOINTS, joints, strict=True):
-            is_wrist = name.startswith("WR")
-            joint.damping[:] = (_WRIST_DAMPING if is_wrist else _DAMPING, 0.0, 0.0)
-            joint.armature = _WRIST_ARMATURE if is_wrist else _ARMATURE
+            # The dampings of the other joints are dampings of their drives.
+            joint.damping[:] = (0.0 if name in _EFFORTS_NM else _DAMPING, 0.0, 0.0)
+            joint.armature = _WRIST_ARMATURE if name.startswith("WR") else _ARMATURE
             joint.frictionloss = 0.0
         for finger in ("FF", "MF", "RF", "LF"):
             tendon = spec.add_tendon(name=f"{finger}T1", limited=True)
             tendon.range[:] = (-_TENDON_LIMIT_M, _TENDON_LIMIT_M)
+            tendon.damping[:] = (_TENDON_DAMPING, 0.0, 0.0)
             for joint, coefficient in _TENDON_COEFFICIENTS.items():
                 tendon.wrap_joint(joints[_JOINTS.index(finger + joint)].name, coefficient)

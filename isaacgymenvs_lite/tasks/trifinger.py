@@ -30,10 +30,12 @@ from isaacgymenvs_lite.tasks.base.scenes import (
     add_motor,
     find_body,
     find_joint,
+    limit_speed,
 )
 from isaacgymenvs_lite.tasks.base.task_config import TaskConfig
 from isaacgymenvs_lite.tasks.base.wrenches import add_wrench_sensors, measure_wrenches
 from isaacgymenvs_lite.utils.rotations import (
+    length,
     normalize,
     quat_apply,
     quat_diff_rad,
@@ -246,9 +248,9 @@ def compute_trifinger_reward(
         terms: the weights.
     """
     object_pos = object_pose[:, :3]
-    speed = (tip_pos - last_tip_pos).norm(dim=-1) / dt_s
-    distance = (tip_pos - object_pos[:, None]).norm(dim=-1)
-    last_distance = (last_tip_pos - last_object_pos[:, None]).norm(dim=-1)
+    speed = length(tip_pos - last_tip_pos) / dt_s
+    distance = length(tip_pos - object_pos[:, None])
+    last_distance = length(last_tip_pos - last_object_pos[:, None])
     reach_weight = terms.finger_reach_object_rate.weight if reaches else 0.0
     result = {
         "finger_movement": terms.finger_move_penalty.weight * speed.square().sum(-1),
@@ -256,9 +258,9 @@ def compute_trifinger_reward(
     }
     weight = dt_s * terms.object_dist.weight
     if terms.keypoints_dist.activate:
-        apart = (gen_keypoints(object_pose) - gen_keypoints(goal_pose)).norm(dim=-1)
+        apart = length(gen_keypoints(object_pose) - gen_keypoints(goal_pose))
         return {**result, "pose": weight * lgsk_kernel(apart, scale=30.0).mean(-1)}
-    apart = (object_pos - goal_pose[:, :3]).norm(dim=-1)
+    apart = length(object_pos - goal_pose[:, :3])
     angle = quat_diff_rad(object_pose[:, 3:7], goal_pose[:, 3:7]).abs()
     return {
         **result,
@@ -281,7 +283,7 @@ class Trifinger(MjcfTask):
 
     def read_settings(self, env: dict[str, Any]) -> TaskConfig:
         """Return the checked keys of `task.env`; `asymmetric_obs` is this task's published key."""
-        env["asymmetric_observations"] = bool(env.get("asymmetric_obs", True))
+        env.setdefault("asymmetric_observations", env.get("asymmetric_obs", True))
         return super().read_settings(env)
 
     def states_size(self) -> int:
@@ -300,8 +302,7 @@ class Trifinger(MjcfTask):
         if (floor := spec.geom("floor")) is not None:
             floor.pos[2] = _FLOOR_HEIGHT_M
         for joint in joints:
-            # PhysX limits the speed, here the drag equals the largest torque at this speed.
-            joint.damping[:] = (0.0, 0.0, _EFFORT_NM / _MAX_SPEED_RAD_S**3)
+            limit_speed(joint, _EFFORT_NM, _MAX_SPEED_RAD_S)
             add_motor(spec, joint, _EFFORT_NM)
         self._joint_names = [joint.name for joint in joints]
         self._tip_names = [tip.name for tip in tips]
@@ -398,7 +399,7 @@ class Trifinger(MjcfTask):
     def episode_successes(self) -> dict[str, Tensor]:
         """Return whether the cube is at its goal, within the published tolerances."""
         cube, tolerance = self._object(), self.env_cfg.termination_conditions.success
-        apart = (cube[:, :3] - self.goal_poses[:, :3]).norm(dim=-1)
+        apart = length(cube[:, :3] - self.goal_poses[:, :3])
         is_there = apart <= tolerance.position_tolerance
         if self.env_cfg.task_difficulty == 4:
             angle = quat_diff_rad(cube[:, 3:7], self.goal_poses[:, 3:7]).abs()

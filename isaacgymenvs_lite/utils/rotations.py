@@ -41,6 +41,14 @@ def normalize(x: Tensor, eps: float = 1e-9) -> Tensor:
     return x / x.norm(dim=-1, keepdim=True).clamp(min=eps)
 
 
+def length(x: Tensor) -> Tensor:
+    """Return the lengths (...) of vectors (..., d).
+
+    For small d this is several times as fast as `Tensor.norm`.
+    """
+    return x.square().sum(-1).sqrt()
+
+
 def quat_unit(q: Tensor) -> Tensor:
     """Scale quaternions (..., 4) to unit length."""
     return normalize(q)

@@ -100,29 +100,14 @@ def test_dofs_have_the_given_order(simulation: SimulationBackend) -> None:
     assert simulation.mass_matrix(["hinge", "j1"])[0, 0, 1] == 0.0  # no common body
 
 
-def test_mass_matrix_keeps_measurements_of_the_last_step(simulation: SimulationBackend) -> None:
-    states = torch.zeros(N, 1, 13)
-    states[:, 0, 2], states[:, 0, 6] = 0.09, 1.0  # the ball is in the floor
-    simulation.write_object_states(torch.arange(N), torch.tensor([0]), states)
-    simulation.step()
-    before = simulation.dof_forces.clone(), simulation.sensor("contact_gripper").clone()
-    simulation.mass_matrix(DOFS)
-    after = simulation.dof_forces, simulation.sensor("contact_gripper")
-    torch.testing.assert_close(after, before, rtol=0, atol=0)
-
-
-def test_steps_do_not_depend_on_the_mass_matrix() -> None:
-    states = []
-    for asks in (False, True):
-        torch.manual_seed(1)
-        simulation = make_simulation(mujoco.MjModel.from_xml_string(ARM), N, substeps=2)
-        _write(simulation, torch.arange(N))
-        for _ in range(5):
-            if asks:
-                simulation.mass_matrix(DOFS)
-            simulation.step()
-        states.append(simulation.dof_pos.clone())
-    torch.testing.assert_close(*states, rtol=0, atol=0)
+def test_mass_matrices_follow_the_masses_of_environments(simulation: SimulationBackend) -> None:
+    before = simulation.mass_matrix(DOFS)
+    gripper = simulation.model.body("gripper").id
+    simulation.expand("body_mass")[2, gripper] *= 2.0
+    after = simulation.mass_matrix(DOFS)
+    torch.testing.assert_close(after[[0, 1, 3, 4]], before[[0, 1, 3, 4]], rtol=0, atol=0)
+    # The mass of the sliding body is the entry of the slide.
+    torch.testing.assert_close(after[2, 2, 2], 2.0 * before[2, 2, 2])
 
 
 def test_a_force_acts_on_the_centre_of_mass_for_one_step(simulation: SimulationBackend) -> None:

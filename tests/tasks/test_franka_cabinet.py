@@ -354,19 +354,22 @@ def test_a_missing_joint_is_named(make_task: MakeTask, tmp_path: Path) -> None:
     assert "it has panda_joint1, panda_finger_joint1, panda_finger_joint2" in message
 
 
-def _as_in_menagerie(folder: Path) -> Path:
-    """Write the arm with the names and the gripper of MuJoCo's menagerie; return the path."""
+def _as_in_menagerie(folder: Path, *, turned: bool) -> Path:
+    """Write the arm with names and gripper of MuJoCo's menagerie, where a finger is turned."""
     spec = mujoco.MjSpec.from_file(str(assets_dir() / "mjcf/franka_panda.xml"))
     for name in ("panda_leftfinger_tip", "panda_rightfinger_tip", "panda_grip_site"):
         spec.delete(spec.body(name))
     spec.delete(spec.geom("floor"))
-    right = spec.body("panda_rightfinger")
-    right.quat = [0.0, 0.0, 0.0, 1.0]
-    right.ipos = right.ipos * [-1.0, -1.0, 1.0]
-    right.fullinertia = right.fullinertia * [1.0, 1.0, 1.0, 1.0, -1.0, -1.0]
-    for geom in right.geoms:
-        geom.pos = geom.pos * [-1.0, -1.0, 1.0]
-    spec.joint("panda_finger_joint2").axis = [0.0, 1.0, 0.0]
+    for geom in spec.geoms:
+        geom.contype = geom.conaffinity = int(geom.contype > 0)
+    if turned:
+        right = spec.body("panda_rightfinger")
+        right.quat = [0.0, 0.0, 0.0, 1.0]
+        right.ipos = right.ipos * [-1.0, -1.0, 1.0]
+        right.fullinertia = right.fullinertia * [1.0, 1.0, 1.0, 1.0, -1.0, -1.0]
+        for geom in right.geoms:
+            geom.pos = geom.pos * [-1.0, -1.0, 1.0]
+        spec.joint("panda_finger_joint2").axis = [0.0, 1.0, 0.0]
     for element in (*spec.bodies[1:], *spec.joints):
         name = element.name.removeprefix("panda_")
         element.name = name.replace("tfinger", "t_finger")
@@ -384,13 +387,17 @@ def _as_in_menagerie(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.parametrize("turned", [True, False])
 def test_a_file_with_menageries_names_makes_the_same_task(
-    make_task: MakeTask, tmp_path: Path
+    make_task: MakeTask, tmp_path: Path, turned: bool
 ) -> None:
-    path = _as_in_menagerie(tmp_path)
+    path = _as_in_menagerie(tmp_path, turned=turned)
     own = make_task("task=FrankaCabinet")
     other = make_task("task=FrankaCabinet", f"task.env.asset.assetFileName={path}")
     assert other.joint_names == tuple(name.removeprefix("panda_") for name in own.joint_names)
+    for name in ("panda_link2", "panda_hand", "panda_rightfinger"):
+        found, expected = (task.simulation.model.geom(name) for task in (other, own))
+        assert (found.contype, found.conaffinity) == (expected.contype, expected.conaffinity)
     torch.manual_seed(0)
     noise = 0.12 * torch.rand(4, 9) - 0.06
     pos = (torch.tensor(ASIDE_POS) + noise).clamp(torch.tensor(LOWER), torch.tensor(UPPER))

@@ -113,10 +113,13 @@ def test_cubes_start_apart_on_the_table() -> None:
     assert (states[..., 3:5] == 0.0).all() and (states[..., 7:] == 0.0).all()
 
 
-def test_a_table_without_room_is_one_line() -> None:
-    # The diagonal of the square is shorter than the distance of the cubes.
-    with pytest.raises(ConfigError, match=r"^task\.env\.startPositionNoise=0\.05: [^\n]*0\.17 m"):
-        draw_cubes(torch.arange(3), 0.05, 0.0)
+def test_cubes_start_apart_in_the_smallest_area(make_task: MakeTask) -> None:
+    torch.manual_seed(0)
+    states = draw_cubes(torch.arange(1000), 0.1, 0.0)
+    assert states[..., :2].abs().max() <= 0.1
+    assert (states[:, 0, :2] - states[:, 1, :2]).norm(dim=-1).min() >= 0.12 * math.sqrt(2.0)
+    with pytest.raises(ConfigError, match=r"^task\.env\.startPositionNoise[^\n]*0\.1"):
+        make_task("task=FrankaCubeStack", "task.env.startPositionNoise=0.05")
 
 
 def test_an_unknown_kind_of_control_is_one_line(make_task: MakeTask) -> None:
@@ -307,7 +310,7 @@ def test_the_gripper_lifts_and_holds_a_cube(make_task: MakeTask) -> None:
 
 
 def test_a_released_stack_ends_the_episode(make_task: MakeTask) -> None:
-    task = make_task("task=FrankaCubeStack", num_envs=3)
+    task = make_task("task=FrankaCubeStack", "task.env.stackRewardScale=16", num_envs=3)
     _start(task)
     cubes = torch.zeros(3, 2, 13)
     cubes[..., 6] = 1.0

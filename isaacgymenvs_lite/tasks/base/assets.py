@@ -120,6 +120,8 @@ def explained(path: Path) -> Iterator[None]:
     """Turn MuJoCo's error about the file at `path` into a ConfigError."""
     try:
         yield
+    except ConfigError:
+        raise
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise ConfigError(f"task.env.asset: MuJoCo cannot load {path}: {reason}") from error

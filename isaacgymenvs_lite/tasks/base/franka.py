@@ -1,8 +1,4 @@
-"""The arm Franka Panda of FrankaCabinet and FrankaCubeStack: names, joints and drives.
-
-PhysX limits the speeds of joints, MuJoCo does not. Each joint instead has a drag that grows with
-the third power of its speed, and equals the largest torque of the joint at its largest speed.
-"""
+"""The arm Franka Panda of FrankaCabinet and FrankaCubeStack: names, joints and drives."""
 
 from __future__ import annotations
 
@@ -20,10 +16,11 @@ from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.scenes import (
     ARM_BITS,
     PositionDrive,
-    add_finger_drive,
+    add_position_drive,
     ensure_frame,
     find_body,
     find_joint,
+    limit_speed,
     prepare_robot,
     topmost,
 )
@@ -49,6 +46,8 @@ _LINK7 = ("panda_link7", "link7", "fr3_link7")
 _HAND = ("panda_hand", "hand", "fr3_hand")
 _LEFT_FINGER = ("panda_leftfinger", "left_finger", "fr3_leftfinger")
 _RIGHT_FINGER = ("panda_rightfinger", "right_finger", "fr3_rightfinger")
+# In the frame of link 7, for files in which the hand is a part of link 7.
+_HAND_M, _HAND_ROT_WXYZ = (0.0, 0.0, 0.107), (0.9238795, 0.0, 0.0, -0.3826834)
 _GRIP_SITE_M = (0.0, 0.0, 0.1025)  # in the frame of the hand
 
 
@@ -108,7 +107,7 @@ class FrankaTask(MjcfTask):
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = 10.0
         link7 = find_body(spec, _LINK7)
-        hand = ensure_frame(spec, _HAND, link7, (0.0, 0.0, 0.107))
+        hand = ensure_frame(spec, _HAND, link7, _HAND_M, _HAND_ROT_WXYZ)
         root = topmost(link7)
         root.pos, root.quat = self.base_pos, self.base_quat_wxyz
         prepare_robot(spec, root, ARM_BITS)
@@ -124,13 +123,15 @@ class FrankaTask(MjcfTask):
         self.body_names_of_franka = {n: p.name for n, p in zip(names, parts, strict=True)}
         arm = [find_joint(spec, names) for names in _ARM_JOINTS]
         for joint, effort, speed in zip(arm, ARM_EFFORTS_NM, _MAX_SPEEDS_RAD_S, strict=True):
-            joint.damping[:] = (0.0, 0.0, effort / speed**3)
+            limit_speed(joint, effort, speed)
             joint.armature = _ARMATURE
+        for joint in fingers:
+            joint.damping[:] = joint.armature = 0.0
         self.joint_names = tuple(joint.name for joint in (*arm, *fingers))
         timestep_s = self.sim_cfg.dt / self.sim_cfg.substeps
         self.add_arm_drives(spec, arm, timestep_s)
         for joint in fingers:
-            add_finger_drive(spec, joint, _FINGER_DRIVE, timestep_s)
+            add_position_drive(spec, joint, _FINGER_DRIVE, timestep_s)
         self.furnish(spec)
 
     def add_arm_drives(

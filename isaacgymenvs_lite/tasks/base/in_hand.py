@@ -17,7 +17,7 @@ import logging
 import math
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import mujoco
@@ -45,9 +45,10 @@ from isaacgymenvs_lite.tasks.base.scenes import (
     prepare_robot,
     topmost,
 )
-from isaacgymenvs_lite.tasks.base.task_config import TaskConfig
+from isaacgymenvs_lite.tasks.base.task_config import AssetConfig, TaskConfig
 from isaacgymenvs_lite.tasks.base.wrenches import add_wrench_sensors, measure_wrenches
 from isaacgymenvs_lite.utils.rotations import (
+    length,
     quat_apply,
     quat_conjugate,
     quat_diff_rad,
@@ -89,10 +90,20 @@ def block(edge_m: float, density: float, start_above_hand_m: float) -> HeldObjec
     return HeldObject(_BOX, (half, half, half), density, start_above_hand_m)
 
 
+@dataclass(frozen=True)
+class HandAssetConfig(AssetConfig):
+    """`task.env.asset`. The files of the objects have no effect: the objects are built in."""
+
+    block: str = setting("", key="assetFileNameBlock")
+    egg: str = setting("", key="assetFileNameEgg")
+    pen: str = setting("", key="assetFileNamePen")
+
+
 @dataclass(frozen=True, kw_only=True)
 class HandConfig(TaskConfig):
     """Keys of `task.env` that both hands share."""
 
+    asset: HandAssetConfig = field(default_factory=HandAssetConfig)
     episode_length: int = setting(600, key="episodeLength", minimum=2)  # control steps
     reset_time: float = setting(-1.0, key="resetTime")  # s; above 0 it replaces episode_length
     aggregate_mode: int = setting(1, key="aggregateMode")  # no effect
@@ -280,9 +291,9 @@ class InHandTask(MjcfTask):
         self.joint_names = tuple(joint.name for joint in joints)
         self.tip_names = tuple(tip.name for tip in tips)
         timestep_s = self.sim_cfg.dt / self.sim_cfg.substeps
+        self.change_joints(spec, joints)
         for number, drive in self.drives.items():
             add_position_drive(spec, joints[number], drive, timestep_s)
-        self.change_joints(spec, joints)
         add_wrench_sensors(spec, self.tip_names)
         held, (x, y) = self.objects[self.env_cfg.object_type], self.start_offset_m
         self._start_pos = (x, y, self.hand_height_m + held.start_above_hand_m)
@@ -371,7 +382,7 @@ class InHandTask(MjcfTask):
     def update_state(self) -> None:
         """Compare the objects with their goals, and count the goals that are reached."""
         state, cfg = self._object(), self.env_cfg
-        self.goal_distance = (state[:, :3] - self.goal_pos).norm(dim=-1)
+        self.goal_distance = length(state[:, :3] - self.goal_pos)
         self.goal_angle = quat_diff_rad(state[:, 3:7], self.goal_rot)
         is_near = (self.goal_angle.abs() <= cfg.tolerance_rad) & ~self.diverged_buf
         self.reset_goal_buf |= is_near

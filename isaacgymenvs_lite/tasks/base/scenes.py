@@ -67,24 +67,29 @@ def _find(elements: Sequence[mujoco.MjsElement], names: Names, what: str) -> muj
 
 
 def ensure_frame(
-    spec: mujoco.MjSpec, names: Names, parent: mujoco.MjsBody, pos: Sequence[float]
+    spec: mujoco.MjSpec,
+    names: Names,
+    parent: mujoco.MjsBody,
+    pos: Sequence[float],
+    quat_wxyz: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
 ) -> mujoco.MjsBody:
-    """Return the body that has one of these names, or add a massless body at `pos` (m)."""
+    """Return the body that has one of these names, or add a massless body at a pose (m, wxyz)."""
     for body in spec.bodies:
         if body.name in names:
             return body
-    return parent.add_body(name=names[0], pos=pos)
+    return parent.add_body(name=names[0], pos=pos, quat=quat_wxyz)
 
 
 def prepare_robot(spec: mujoco.MjSpec, root: mujoco.MjsBody, bits: Bits) -> None:
     """Remove the file's controls, compensate the robot's weight, set its bits, and add a stage.
 
-    `root` is the robot's first body.
+    `root` is the robot's first body. The integrator becomes the one for `add_position_drive`.
     """
     for thing in (*spec.actuators, *spec.tendons, *spec.equalities, *spec.sensors, *spec.keys):
         spec.delete(thing)
     if spec.geom("floor") is None:
         add_stage(spec)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     for body in subtree(root):
         body.gravcomp = 1.0
         set_bits(body.geoms, bits)
@@ -147,25 +152,24 @@ def add_position_drive(
 ) -> None:
     """Add a position actuator that acts on the state after a step, as PhysX's drives do.
 
-    The module `drives` has the formula. MuJoCo's integrator `implicitfast` adds the damping to the
-    inertia, so a damping that is larger by the time step times the stiffness is sufficient.
+    The module `drives` has the formula. The joint's own damping stays as it is. Contact forces act
+    against the armature of the drive, without which a finger could not hold an object.
     """
     actuator = _add_actuator(spec, joint, drive.effort)
     damping = drive.damping + timestep_s * drive.stiffness
+    joint.armature += timestep_s * damping
     actuator.gainprm[0] = drive.stiffness
     actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     actuator.biasprm[:3] = (0.0, -drive.stiffness, -damping)
 
 
-def add_finger_drive(
-    spec: mujoco.MjSpec, joint: mujoco.MjsJoint, drive: PositionDrive, timestep_s: float
-) -> None:
-    """Add a position drive for a light body, whose damping is not limited by the drive's effort.
+def limit_speed(joint: mujoco.MjsJoint, effort: float, speed: float) -> None:
+    """Give a joint a drag that equals its largest torque (Nm) at its largest speed (rad/s).
 
-    With a limit, the actuator would throw a body of a few grams to and fro.
+    PhysX limits the speeds of joints, MuJoCo does not. The drag grows with the third power of the
+    speed, so that it is small at low speeds. It replaces the damping of the joint.
     """
-    add_position_drive(spec, joint, PositionDrive(drive.stiffness, 0.0, drive.effort), 0.0)
-    joint.damping[:] = (drive.damping + timestep_s * drive.stiffness, 0.0, 0.0)
+    joint.damping[:] = (0.0, 0.0, effort / speed**3)
 
 
 def add_motor(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, effort: float) -> None:

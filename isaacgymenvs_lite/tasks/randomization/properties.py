@@ -198,6 +198,8 @@ def make_property(
         return Friction(simulation, geoms, columns[attribute])
     if group == "tendon_properties" and attribute in _TENDON_FIELDS and model.ntendon > 0:
         field, column = _TENDON_FIELDS[attribute]
+        if not getattr(model, field).any():
+            return None  # for example the stiffness of a tendon that only has limits
         return FieldProperty(simulation, field, np.arange(model.ntendon), column)
     if group == "dof_properties":
         if attribute in ("lower", "upper"):
