@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import statistics
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -35,21 +35,28 @@ class Returns:
         episode_return: sum of the task's rewards.
         steps: number of control steps.
         max_steps: number of control steps without early termination.
+        successes: name -> mean at the ends of the episodes, for tasks that count successes.
     """
 
     episode_return: float
     steps: float
     max_steps: int
+    successes: dict[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        return f"return {self.episode_return:.2f}, {self.steps:.0f} of {self.max_steps} steps"
+        counted = "".join(f", {name} {mean:.3f}" for name, mean in self.successes.items())
+        steps = f"{self.steps:.0f} of {self.max_steps} steps"
+        return f"return {self.episode_return:.2f}, {steps}{counted}"
 
 
 def measure_returns(player: Any, env: Any) -> Returns:
     """Play a policy, see the module docstring."""
     result = evaluate(env, player.act, EPISODES, on_step=getattr(player, "on_step", None))
     return Returns(
-        episode_return=result.reward, steps=result.steps, max_steps=env.max_episode_length - 1
+        episode_return=result.reward,
+        steps=result.steps,
+        max_steps=env.max_episode_length - 1,
+        successes=result.successes,
     )
 
 

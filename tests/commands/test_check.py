@@ -312,7 +312,7 @@ def test_with_its_class_all_of_it_is_checked(tmp_path: Path, monkeypatch) -> Non
     assert lines[-1] == "it can be used; the keys without effect are named above"
     # A train file is checked with the task file that belongs to it.
     train = train_file(tmp_path / "cfg" / "train", "SwingUpPPO", "SwingUp")
-    assert "checked with task=SwingUp;" in describe(str(train))[0]
+    assert f"checked with task={file};" in describe(str(train))[0]
     assert any(line.startswith("algorithm: a2c") for line in describe(str(file)))
     file.write_text(SWING_UP.replace("episodeLength: 300", "maxEfort: 300"))
     with pytest.raises(ConfigError, match="maxEfort"):
