@@ -114,6 +114,25 @@ def test_errors_of_a_goal_are_means_over_the_steps_that_count():
     assert evaluate(ScriptedEnv([[2], [3]]), zero_policy, 2).goal_errors == {}
 
 
+class SuccessEnv(ScriptedEnv):
+    """The success of an environment is its step, times ten in the second one."""
+
+    def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
+        obs, rewards, dones, infos = super().step(actions)
+        infos["successes"] = {"goals_reached": self._step * torch.tensor([1.0, 10.0])}
+        return obs, rewards, dones, infos
+
+
+def test_successes_are_means_over_the_ends_of_episodes():
+    # The third episode of the first environment does not count.
+    result = evaluate(SuccessEnv([[2, 4, 1], [9]]), zero_policy, 2)
+    assert result.successes == {"goals_reached": (2 + 90) / 2}
+    result = evaluate(SuccessEnv([[2, 4, 1], [9]]), zero_policy, 4)
+    assert result.successes == {"goals_reached": (2 + 4 + 90 + 90) / 4}
+    assert "; goals reached 46.500; falls" in str(result)
+    assert evaluate(ScriptedEnv([[2], [3]]), zero_policy, 2).successes == {}
+
+
 def test_the_policy_sees_observations_after_resets():
     observed = []
 

@@ -82,6 +82,16 @@ def test_charts_have_the_scalars_that_the_run_has(make_run) -> None:
     assert charts["Pose error, m"]["mean policy"].values.tolist() == [0.25, 0.125, 0.0625]
 
 
+def test_successes_of_episodes(make_run) -> None:
+    rates = {"success/at_goal": [0.1, 0.25], "success/measured_at_goal": [0.2, 0.5]}
+    run = make_run({**FEW, **rates})
+    chart = charts_of(read_scalars(run / "summaries"))["Success of an episode"]
+    assert list(chart) == ["at_goal", "measured_at_goal"]
+    page = Page(write_report(run))
+    assert "Success of an episode" in page.charts
+    assert (page.facts["at goal"], page.facts["measured at goal"]) == ("0.25", "0.5")
+
+
 @pytest.mark.parametrize("config", ["task: [", "[" * 5000])
 def test_a_damaged_configuration_is_shown_as_it_is(config, make_run) -> None:
     assert Page(write_report(make_run(FEW, config=config))).config == config

@@ -104,6 +104,39 @@ def test_the_highest_reward_is_the_best_checkpoint(clock, agent, result, last, w
     assert bool(observer.worsened()) == bool(word)
 
 
+NO_RESULT = EvaluationResult(16, 0.0, 90.5, None, None)
+
+
+@pytest.mark.parametrize(
+    ("measured", "best", "word"),
+    [
+        # pairs of success and reward
+        ([(0.5, 1.0), (0.4, 9.0)], 1, "succeeds less often than the best one, after epoch 1"),
+        ([(0.5, 9.0), (0.6, 1.0)], 2, ""),
+        ([(0.5, 9.0), (0.5, 1.0)], 1, ""),
+        ([(0.5, 1.0), (0.5, 9.0), (0.46, 9.0)], 2, ""),
+        ([(0.0, 1.0), (0.0, 2.0)], 2, ""),
+    ],
+)
+def test_success_chooses_before_the_reward(clock, agent, measured, best, word):
+    observer = TimedImitation(clock, NO_RESULT, 1, 0.0)
+    observer.chooses_best = True
+    saved: list[int] = []
+    agent.save_best = lambda: saved.append(observer.best_epoch)
+    results = [
+        dataclasses.replace(NO_RESULT, reward=reward, successes={"at_goal": success})
+        for success, reward in measured
+    ]
+    observer.measure = iter(results).__next__
+    train(observer, agent, epochs=len(measured), epoch_s=1.0)
+    assert saved[-1] == observer.best_epoch == best
+    assert (observer.best_success, observer.best_reward) == measured[best - 1]
+    assert observer.worsened().endswith(word)
+    assert bool(observer.worsened()) == bool(word)
+    scalars = [value for _, value in agent.writer.scalars["success/measured_at_goal"]]
+    assert scalars == [success for success, _ in measured]
+
+
 def test_spread_is_the_mean_distance_from_the_average_pose():
     # body 1 at x = 0 and 0.4 m, the root at the origin: 0.2 m and 0 m from the average
     moving = torch.tensor([[[0.0, 0, 0], [0.0, 0, 0]], [[0.0, 0, 0], [0.4, 0, 0]]])

@@ -63,6 +63,52 @@ def test_a_diverged_episode_is_neither_a_fall_nor_none(figures):
     assert figures.latest.fall_rate == 1.0
 
 
+def end_with_successes(observer: MetricsObserver, rows: list[int]) -> None:
+    successes = {"at_goal": torch.tensor([True, False, True, True]), "goals": torch.arange(4)}
+    flags = {"successes": successes, "diverged": torch.tensor([False, False, False, True])}
+    observer.process_infos(flags, torch.tensor(rows, dtype=torch.int64).view(-1, 1))
+
+
+def test_successes_are_those_of_ended_episodes(figures, agent):
+    end_with_successes(figures, [])
+    figures.after_print_stats(1000, 1, 0.0)
+    assert figures.latest is not None
+    assert figures.latest.successes == {}
+    end_with_successes(figures, [1, 3])  # the last one diverged
+    end_with_successes(figures, [0, 2])
+    figures.after_print_stats(2000, 2, 0.0)
+    assert figures.latest.successes == {"at_goal": pytest.approx(2 / 3), "goals": 1.0}
+    assert agent.writer.scalars["success/at_goal"] == [(2000, pytest.approx(2 / 3))]
+    assert agent.writer.scalars["success/goals"] == [(2000, 1.0)]
+    figures.after_clear_stats()
+    figures.after_print_stats(3000, 3, 0.0)
+    assert figures.latest.successes == {}
+
+
+def test_successes_are_in_checkpoints(figures, agent):
+    end_with_successes(figures, [0, 1])
+    resumed = MetricsObserver()
+    resumed.after_init(agent)
+    resumed.load_state_dict(figures.state_dict())
+    end_with_successes(resumed, [2])  # a third episode, and `games_to_track` is 3
+    resumed.after_print_stats(1000, 1, 0.0)
+    assert resumed.latest is not None
+    assert resumed.latest.successes == {"at_goal": pytest.approx(2 / 3), "goals": 1.0}
+
+
+def test_a_checkpoint_from_before_there_were_successes(figures, agent):
+    end_with_successes(figures, [0, 1])
+    older = figures.state_dict()
+    del older["successes"]
+    figures.load_state_dict(older)
+    figures.after_print_stats(1000, 1, 0.0)
+    assert figures.latest is not None
+    assert figures.latest.successes == {}
+    end_with_successes(figures, [2])
+    figures.after_print_stats(2000, 2, 0.0)
+    assert figures.latest.successes == {"at_goal": 1.0, "goals": 2.0}
+
+
 def test_the_best_reward_of_all_epochs(figures, agent):
     figures.after_print_stats(0, 1, 0.0)
     assert figures.best_reward is None

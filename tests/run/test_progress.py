@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 
+from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
 from isaacgymenvs_lite.run.measurement import MeasurementObserver
 from isaacgymenvs_lite.run.metrics import MetricsObserver
 from isaacgymenvs_lite.run.observers import MultiObserver
@@ -70,6 +71,14 @@ def test_a_task_reward_is_shown_where_it_counts(progress, agent, clock, caplog):
     assert "falls 50%, reward 5.50, style reward 0.46" in caplog.messages[0]
 
 
+def test_successes_are_shown(progress, agent, clock, caplog):
+    successes = {"at_goal": torch.tensor([1.0, 0.0, 0.0])}
+    progress.metrics.process_infos({"successes": successes}, torch.tensor([[0], [1]]))
+    with caplog.at_level(logging.INFO):
+        end_epoch(progress, clock, 5, 2.0)
+    assert ", at goal 0.50, " in caplog.messages[0]
+
+
 def test_lines_come_at_intervals(progress, clock, caplog):
     with caplog.at_level(logging.INFO):
         for epoch in range(1, 13):
@@ -103,6 +112,16 @@ def test_the_pose_error_is_shown_once_known(agent, clock, result, monkeypatch, c
         end_epoch(observer, clock, 2, 1.0)
     assert "pose error" not in caplog.messages[0]
     assert caplog.messages[1].endswith("pose error 0.123 m, tempo 1.02, motion shown 87%")
+
+
+def test_measured_successes_are_shown(agent, clock, monkeypatch, caplog):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
+    measured = MeasurementObserver(lambda num_envs: None, 0, 16)
+    measured.last = EvaluationResult(16, 12.5, 90.5, None, None, successes={"at_goal": 0.25})
+    observer = make_progress(agent, imitation=measured)
+    with caplog.at_level(logging.INFO):
+        end_epoch(observer, clock, 1, 1.0)
+    assert caplog.messages[0].endswith("reward 12.50, measured falls 0%, measured at goal 0.25")
 
 
 def test_a_request_makes_the_epoch_the_last_one(agent, clock, monkeypatch):

@@ -46,6 +46,7 @@ from isaacgymenvs_lite.tasks.base.scenes import (
     topmost,
 )
 from isaacgymenvs_lite.tasks.base.task_config import AssetConfig, TaskConfig
+from isaacgymenvs_lite.tasks.base.vec_task import ActionScaling
 from isaacgymenvs_lite.tasks.base.wrenches import add_wrench_sensors, measure_wrenches
 from isaacgymenvs_lite.utils.rotations import (
     length,
@@ -369,6 +370,13 @@ class InHandTask(MjcfTask):
         targets = targets.clamp(lower, upper)
         self.prev_targets.index_copy_(1, driven, targets)
         return targets
+
+    def action_scaling(self) -> ActionScaling | None:
+        """Return the position targets of absolute actions that are not averaged."""
+        if self.env_cfg.use_relative_control or self.env_cfg.actions_moving_average < 1.0:
+            return None
+        lower, upper = self._lower[self._driven], self._upper[self._driven]
+        return ActionScaling("rad", 0.5 * (upper + lower), 0.5 * (upper - lower))
 
     def _push_objects(self) -> None:
         self.object_forces *= self._decay

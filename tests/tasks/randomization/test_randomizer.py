@@ -233,3 +233,125 @@ def test_the_schedule_of_the_published_settings_sets_in(make_task, walk_clip) ->
     factors = damping / task.simulation.model.actuator_biasprm[:, 2]
     assert 0.75 <= factors.min() < 0.77
     assert 1.23 < factors.max() <= 1.25
+
+
+_ACTORS = "task.task.randomization_params.actor_params"
+
+
+def _object_bodies(task) -> np.ndarray:
+    model = task.simulation.model
+    return (np.arange(model.nbody) == model.body("object").id)[1:]
+
+
+def test_a_hand_and_its_object_are_drawn_from_their_own_ranges(make_task) -> None:
+    task = make_task(
+        "task=ShadowHand",
+        "task.task.randomize=True",
+        f"{_ACTORS}.object.rigid_body_properties.mass.range=[2.0,3.0]",
+        f"{_ACTORS}.object.rigid_shape_properties.friction.range=[0.2,0.4]",
+        num_envs=N,
+    )
+    model, held = task.simulation.model, _object_bodies(task)
+    has_mass = model.body_mass[1:] > 0.0
+    is_held = model.geom_bodyid == model.body("object").id
+    is_hand = ~is_held & (model.geom_bodyid > 0)
+    friction = []
+    for _ in range(2):
+        mass = _field(task, "body_mass")[:, 1:] / model.body_mass[1:].clip(1e-9)
+        friction.append(_field(task, "geom_friction")[..., 0].copy())
+        for values, low, high in (
+            (mass[:, held], 2.0, 3.0),
+            (mass[:, has_mass & ~held], 0.5, 1.5),
+            (2.0 * friction[-1][:, is_held] - 1.0, 0.2, 0.4),  # means with 1
+            (2.0 * friction[-1][:, is_hand] - 1.0, 0.7, 1.3),
+        ):
+            # 64 draws at least
+            assert low - 1e-9 <= values.min() < low + 0.15 * (high - low)
+            assert high - 0.15 * (high - low) < values.max() <= high + 1e-9
+        task.randomize_buf[:] = 720
+        task.reset()
+    assert (friction[0][:, is_held] != friction[1][:, is_held]).mean() > 0.9
+    assert (friction[0][:, is_hand] != friction[1][:, is_hand]).mean() > 0.9
+
+
+@pytest.fixture
+def scaled(make_task):
+    """Return 16 tasks whose blocks have other sizes and which differ in nothing else."""
+    task = make_task(
+        "task=ShadowHand",
+        "task.task.randomize=True",
+        f"~{_ACTORS}.hand",
+        *(f"~task.task.randomization_params.{part}" for part in ("sim_params", "actions")),
+        f"~{_ACTORS}.object.rigid_body_properties",
+        f"{_ACTORS}.object.scale.range=[0.9,1.1]",
+        "task.env.useRelativeControl=True",  # zero actions hold the hand
+        "task.env.fallDistance=1e9",
+        num_envs=16,
+    )
+    task.reset()
+    return task
+
+
+def _let_go(task, start: tuple[float, float, float]) -> torch.Tensor:
+    """Put the blocks over a flat hand or elsewhere; return their states (N, 13) a second later."""
+    sim, n = task.simulation, task.num_envs
+    zeros, states = torch.zeros(n, len(sim.dof_names)), torch.zeros(n, 1, 13)
+    sim.write_state(torch.arange(n), torch.zeros(n, 13), zeros, zeros)
+    states[:, 0, :3], states[..., 6] = torch.tensor(start), 1.0
+    sim.write_object_states(torch.arange(n), torch.tensor([0]), states)
+    task.prev_targets.zero_()
+    for _ in range(60):
+        task.reset_buf.zero_()
+        task.step(task.zero_actions())
+    return sim.object_states[:, 0]
+
+
+def test_a_scaled_object_is_larger_but_not_heavier(scaled) -> None:
+    model, held = scaled.simulation.model, _object_bodies(scaled)
+    is_held = model.geom_bodyid == model.body("object").id
+    sizes = _field(scaled, "geom_size")
+    assert (sizes == model.geom_size)[:, ~is_held].all()
+    scales = sizes[:, is_held, 0] / 0.025
+    assert sizes[:, is_held][:, 0] == pytest.approx(np.repeat(0.025 * scales, 3, axis=1))
+    assert 0.9 <= scales.min() < 0.94
+    assert 1.06 < scales.max() <= 1.1
+    for field in ("body_mass", "body_inertia"):
+        assert (_field(scaled, field)[:, 1:][:, held] == getattr(model, field)[1:][held]).all()
+    rested = _let_go(scaled, (1.0, 1.0, 0.03))
+    # Contacts with the floor give way by a fraction of a millimetre.
+    assert rested[:, 2].numpy() == pytest.approx(0.025 * scales[:, 0], abs=2e-4)
+
+
+def test_scaled_objects_rest_on_bodies_of_several_shapes(scaled) -> None:
+    """The palm has two boxes; contacts that MuJoCo finds late make an object tremble."""
+    rested = _let_go(scaled, (-0.011, -0.328, 0.53))
+    assert (rested[:, 2] > 0.5).all()
+    assert rested[:, 7:].abs().max() < 0.05
+
+
+def test_dampings_of_tendons_are_drawn_and_stiffnesses_are_not(make_task, caplog) -> None:
+    caplog.set_level(logging.WARNING)
+    task = make_task("task=ShadowHand", "task.task.randomize=True", num_envs=N)
+    factors = _field(task, "tendon_damping") / task.simulation.model.tendon_damping
+    assert factors.shape == (N, 4)
+    assert len(np.unique(factors.round(9))) == 4 * N
+    assert 0.3 <= factors.min() < 0.33
+    assert 2.7 < factors.max() <= 3.0
+    # Loguniform: the deviation of the logarithm is log(10) / sqrt(12).
+    assert np.log(factors).mean() == pytest.approx(np.log(0.9) / 2.0, abs=0.12)
+    (said,) = (text for text in caplog.messages if "no counterpart" in text)
+    assert said.endswith(": actor_params.hand.tendon_properties.stiffness")
+
+
+def test_the_table_of_trifinger_has_the_mean_friction(make_task) -> None:
+    task = make_task("task=Trifinger", num_envs=N)
+    model = task.simulation.model
+    friction = _field(task, "geom_friction")[..., 0]
+    drawn = {name: friction[:, model.geom(name).id] for name in ("table", "object")}
+    # Means of 0.1 times U(0.5, 1.5), or of U(0.7, 1.3), and 1
+    for name, low, high in (("table", 0.525, 0.575), ("object", 0.85, 1.15)):
+        assert low - 1e-9 <= drawn[name].min() < low + 0.1 * (high - low)
+        assert high - 0.1 * (high - low) < drawn[name].max() <= high
+    assert model.geom("table").priority[0] > model.geom("object").priority[0]
+    fingers = [i for i in range(model.ngeom) if model.geom(i).name.startswith("finger_")]
+    assert (friction[:, fingers] == 1.0).all()
