@@ -151,7 +151,7 @@ class MetricsObserver(Stateful, AlgoObserver):
 
 
 def _counted(meter: AverageMeter) -> list[Any]:
-    return [meter.mean.cpu(), meter.current_size]
+    return [meter.mean.cpu().clone(), meter.current_size]
 
 
 def _mean(meter: AverageMeter) -> float | None:

@@ -26,6 +26,7 @@ from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.scenes import (
     OBJECT_BITS,
+    OBJECT_PRIORITY,
     Names,
     add_motor,
     find_body,
@@ -315,6 +316,7 @@ class Trifinger(MjcfTask):
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=(_HALF_M,) * 3,
             density=_DENSITY,
+            priority=OBJECT_PRIORITY,
             contype=contype,
             conaffinity=conaffinity,
             condim=4,

@@ -185,7 +185,7 @@ ABSENT: dict[str, str] = {
     "tasks.franka_cube_stack.axisangle2quat": "exp_map_to_quat",
     "tasks.trifinger.CuboidalObject": "constants of the module",
     "tasks.trifinger.TrifingerDimensions": "constants of the module",
-    "tasks.trifinger.compute_trifinger_observations_states": "Trifinger.compute_obs, compute_states",
+    "tasks.trifinger.compute_trifinger_observations_states": "compute_obs",
     "tasks.trifinger.random_angular_vel": "no task uses it",
     "tasks.trifinger.random_orientation_within_angle": "no task uses it",
     "tasks.base.vec_task.EXISTING_SIM": "each task has a simulation of its own",

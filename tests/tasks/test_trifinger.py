@@ -59,7 +59,6 @@ def test_reward_by_hand() -> None:
     # From distances of 0.3, 0.2 and 0.3 m to distances of 0.5, 0.1 and 0.3 m
     assert terms["finger_reach"] == pytest.approx(-250.0 * 0.1, rel=1e-5)
     assert _terms(WEIGHTS, reaches=False) == {**terms, "finger_reach": 0.0}
-    # The weight of the corners is that of the distance.
     halved = dataclasses.replace(WEIGHTS.object_dist, weight=1000.0)
     assert _terms(dataclasses.replace(WEIGHTS, object_dist=halved))["pose"] == terms["pose"] / 2
 
@@ -75,8 +74,8 @@ def test_rewards_of_position_and_rotation_by_hand() -> None:
     assert terms["position"] == pytest.approx(0.02 * 2000.0 * kernel, rel=1e-5)
     assert terms["rotation"] == pytest.approx(0.02 * 500.0 / (math.pi + 0.01), rel=1e-5)
     assert lgsk_kernel(torch.tensor([0.0, 10.0])).tolist() == [0.25, 0.0]
-    near = lgsk_kernel(torch.tensor(0.01), scale=30.0, eps=1.0).item()
-    assert near == pytest.approx(1.0 / (1.0 + 2.0 * math.cosh(0.3)))
+    near = 1.0 / (1.0 + 2.0 * math.cosh(0.3))
+    assert lgsk_kernel(torch.tensor(0.01), scale=30.0, eps=1.0).item() == pytest.approx(near)
 
 
 @pytest.mark.parametrize(
@@ -104,12 +103,9 @@ def test_goals(difficulty: int, far: float, low: float, high: float, squares: li
     torch.testing.assert_close(products, torch.diag(torch.tensor(squares)), atol=0.02, rtol=0.0)
 
 
-def test_an_unknown_difficulty_is_one_line(make_task: MakeTask) -> None:
+def test_mistakes_are_one_line(make_task: MakeTask, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"^task\.env\.task_difficulty[^\n]*-1, 1, 2, 3, 4$"):
         make_task(*PLAIN, "task.env.task_difficulty=0")
-
-
-def test_a_missing_tip_is_named(make_task: MakeTask, tmp_path: Path) -> None:
     spec = mujoco.MjSpec.from_file(str(assets_dir() / "mjcf/trifinger.xml"))
     spec.delete(spec.body("finger_tip_link_120"))
     spec.compile()
@@ -121,12 +117,11 @@ def test_a_missing_tip_is_named(make_task: MakeTask, tmp_path: Path) -> None:
 
 def _put(task: Trifinger, cubes: list[list[float]], pos: object = DEFAULT_POS, vel: float = 0.0):
     """Put cubes (N, 7) at rest, and the joints (9,) or (N, 9) at positions (rad) and a speed."""
-    n = task.num_envs
+    sim, n, ids = task.simulation, task.num_envs, torch.arange(task.num_envs)
     dof_pos, states = torch.as_tensor(pos).expand(n, 9), torch.zeros(n, 1, 13)
     states[:, 0, :7] = torch.tensor(cubes)
-    everyone, speeds = torch.arange(n), torch.full((n, 9), vel)
-    task.simulation.write_state(everyone, torch.zeros(n, 13), dof_pos, speeds)
-    task.simulation.write_object_states(everyone, torch.tensor([0]), states)
+    sim.write_state(ids, torch.zeros(n, 13), dof_pos, torch.full((n, 9), vel))
+    sim.write_object_states(ids, torch.tensor([0]), states)
     task.reset_buf.zero_()
 
 
@@ -169,8 +164,8 @@ def test_starts(make_task: MakeTask, kind: str) -> None:
 def test_torques_by_hand(
     make_task: MakeTask, controls_of: Callable[..., list[torch.Tensor]], mode: str, damped: bool
 ) -> None:
-    overrides = (f"command_mode={mode}", f"apply_safety_damping={damped}")
-    task = make_task(*PLAIN, *(f"task.env.{o}" for o in overrides), num_envs=3)
+    damping = f"task.env.apply_safety_damping={damped}"
+    task = make_task(*PLAIN, f"task.env.command_mode={mode}", damping, num_envs=3)
     seen, pos, vel = controls_of(task), [0.3, 0.8, -1.5] * 3, 1.5
     _put(task, [CUBE] * 3, pos, vel)
     # About the middle, at the limits, and a little above the present positions
@@ -190,7 +185,9 @@ def test_torques_by_hand(
 
 
 @pytest.mark.parametrize("normal", [True, False])
-def test_observation_and_state(make_task: MakeTask, normal: bool) -> None:
+def test_observation_and_state(
+    make_task: MakeTask, controls_of: Callable[..., list[torch.Tensor]], normal: bool
+) -> None:
     task = make_task(*PLAIN, f"task.env.normalize_action={normal}", num_envs=2)
     sim = task.simulation
     _put(task, [[0.15, -0.3, 0.3, *ROTATION]] * 2, torch.tensor([LOWER, UPPER]), 5.0)
@@ -203,7 +200,9 @@ def test_observation_and_state(make_task: MakeTask, normal: bool) -> None:
     # The cube lies below the second fingertip of env 0 and is elsewhere in env 1.
     under = [*TIPS_M[1][:2], TIPS_M[1][2] - 0.041, *NO_TURN]
     _put(task, [under, [0.0, 0.0, 0.3, *ROTATION]])
+    torques = controls_of(task)
     task.step(actions)
+    torch.testing.assert_close(torques[0], actions * (0.36 if normal else 1.0))
     found, bodies = task.states_buf, (sim.body_pos, sim.body_rot, sim.body_lin_vel)
     tips = torch.cat([v[:, _tips(task)] for v in (*bodies, sim.body_ang_vel)], dim=-1).flatten(1)
     cube, joints = sim.object_states[:, 0], (sim.dof_pos, sim.dof_vel)
@@ -242,8 +241,8 @@ def test_a_cube_at_its_goal(make_task: MakeTask, difficulty: int) -> None:
     aside = torch.tensor([0.0, 0.019, 0.021, 0.0, 0.0])  # m
     half = 0.5 * torch.tensor([0.0, 0.0, 0.0, 0.39, 0.41])  # rad about z
     none, height = torch.zeros(5), torch.full((5,), 0.0325)
-    cubes = torch.stack((aside, none, height, none, none, half.sin(), half.cos()), dim=-1)
-    _put(task, cubes.tolist())
+    cubes = (aside, none, height, none, none, half.sin(), half.cos())
+    _put(task, torch.stack(cubes, dim=-1).tolist())
     task.progress_buf[3:] = torch.tensor([747, 748])
     *_, dones, infos = task.step(task.zero_actions())
     assert infos["successes"]["at_goal"].tolist() == [True, True, False, True, difficulty == 1]

@@ -46,7 +46,7 @@ def push(make_task: MakeTask) -> Callable[..., torch.Tensor]:
 
 
 def test_the_boundary_keeps_a_pushed_cube(push: Callable[..., torch.Tensor]) -> None:
-    angles = 0.25 * math.pi * torch.arange(8)
+    angles = math.pi / 12.0 * torch.arange(24)  # the middle of each of 24 boxes
     ways = torch.stack((angles.cos(), angles.sin()), dim=-1)
     places = push(FARTHEST_M * ways, 3.0 * ways, 100)  # from the farthest starts of episodes
     radius, height = places[..., :2].norm(dim=-1), places[..., 2]

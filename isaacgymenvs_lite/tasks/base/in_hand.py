@@ -35,6 +35,7 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.scenes import (
     HAND_BITS,
     OBJECT_BITS,
+    OBJECT_PRIORITY,
     Bits,
     Names,
     PositionDrive,
@@ -306,6 +307,7 @@ class InHandTask(MjcfTask):
             type=held.kind,
             size=held.size_m,
             density=held.density,
+            priority=OBJECT_PRIORITY,
             contype=contype,
             conaffinity=conaffinity,
             condim=4,

@@ -28,6 +28,9 @@ FURNITURE_BITS: Bits = (4, 2)
 HAND_BITS: Bits = (4, 4)
 HAND_WITHOUT_SELF_CONTACT_BITS: Bits = (4, 0)
 OBJECT_BITS: Bits = (1, 5)
+OBJECT_PRIORITY = 1
+"""The friction of an object with this priority counts. Otherwise MuJoCo takes the larger friction
+of two geoms, and a random friction below that of the hand would have no effect."""
 
 _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "r": (0, 0, 1)}
 

@@ -238,17 +238,20 @@ class Scale(Property):
     _FIELDS = ("geom_size", "geom_pos", "geom_rbound", "geom_aabb")
 
     def __init__(self, simulation: SimulationBackend, geoms: Ids) -> None:
-        self._ids = geoms
-        self._values = {name: simulation.expand(name) for name in self._FIELDS}
-        self._originals = {name: getattr(simulation.model, name)[geoms] for name in self._FIELDS}
+        model = simulation.model
+        body = int(model.geom_bodyid[geoms[0]])
+        volumes = model.body_bvhadr[body] + np.arange(model.body_bvhnum[body])
+        rows = {**dict.fromkeys(self._FIELDS, geoms), "bvh_aabb": volumes}
+        self._parts = [
+            (simulation.expand(name), ids, getattr(model, name)[ids]) for name, ids in rows.items()
+        ]
         self.original = np.ones(1)
 
     def write(self, env_ids: Ids, values: Doubles) -> None:
         """See `Property.write`."""
-        for name, own in self._values.items():
-            original = self._originals[name]
+        for own, ids, original in self._parts:
             scales = np.maximum(values, mujoco.mjMINVAL).reshape(-1, *(1,) * original.ndim)
-            own[np.ix_(env_ids, self._ids)] = original * scales
+            own[np.ix_(env_ids, ids)] = original * scales
 
 
 class Limits(FieldProperty):

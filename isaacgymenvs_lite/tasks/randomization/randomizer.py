@@ -151,8 +151,9 @@ class DomainRandomizer(Stateful):
             )
         self._gravity = simulation.expand("opt.gravity") if plan.gravity else None
         self._original_gravity = simulation.model.opt.gravity.copy()
-        self._colours = simulation.expand("geom_rgba") if plan.colour else None
-        self._robot_geoms = np.flatnonzero(simulation.model.geom_bodyid > 0)
+        self._colours = simulation.expand("geom_rgba") if plan.coloured else None
+        coloured = [body for actor in plan.coloured for body in bodies[actor]]
+        self._coloured = np.flatnonzero(np.isin(simulation.model.geom_bodyid, coloured))
         self._last_draw = 0
         everywhere = np.arange(simulation.num_envs)
         self._draw_common(frame=0)
@@ -199,8 +200,8 @@ class DomainRandomizer(Stateful):
             attribute.write(rows, _applied(settings, attribute.original, drawn))
             derived = derived or attribute.changes_constants
         if self._colours is not None:
-            colours = torch.rand(len(rows), len(self._robot_geoms), 3).numpy()
-            self._colours[np.ix_(rows, self._robot_geoms, np.arange(3))] = colours
+            colours = torch.rand(len(rows), len(self._coloured), 3).numpy()
+            self._colours[np.ix_(rows, self._coloured, np.arange(3))] = colours
         if derived:
             self._simulation.update_constants(rows)
 

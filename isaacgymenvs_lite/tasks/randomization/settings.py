@@ -82,8 +82,8 @@ class RandomizationPlan:
     gravity: AttributeSettings | None
     actors: dict[tuple[str, str, str], AttributeSettings] = field(default_factory=dict)
     """Maps (actor, group, attribute) to settings."""
-    colour: bool = False
-    """Whether all bodies get random colours."""
+    coloured: tuple[str, ...] = ()
+    """The actors whose bodies get random colours."""
     unsupported: tuple[str, ...] = ()
     """Paths of entries without a counterpart in MuJoCo."""
 
@@ -105,11 +105,12 @@ def read_plan(params: Mapping[str, Any], actors: Collection[str]) -> Randomizati
         entries = {actor: groups for actor, groups in entries.items() if groups is not None}
     _check_names(entries, actors, f"{WHERE}.actor_params", "actor")
     attributes: dict[tuple[str, str, str], AttributeSettings] = {}
-    colour = False
+    coloured: list[str] = []
     for actor, groups in entries.items():
         where = f"{WHERE}.actor_params.{actor}"
         _check_names(groups, (*PROPERTIES, "color", "scale"), where, "property")
-        colour = colour or bool(groups.get("color", False))
+        if groups.get("color", False):
+            coloured.append(actor)
         if "scale" in groups:
             attributes[actor, "scale", ""] = _attribute(groups["scale"], f"{where}.scale")
         for group in (group for group in PROPERTIES if group in groups):
@@ -122,7 +123,7 @@ def read_plan(params: Mapping[str, Any], actors: Collection[str]) -> Randomizati
         actions=_noise(params, "actions"),
         gravity=None if gravity is None else _attribute(gravity, f"{WHERE}.sim_params.gravity"),
         actors=attributes,
-        colour=colour,
+        coloured=tuple(coloured),
         unsupported=tuple(unsupported),
     )
 

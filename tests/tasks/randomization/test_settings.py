@@ -47,7 +47,7 @@ def test_everything_that_is_published_is_read() -> None:
     assert plan.gravity.schedule == "linear"
     assert plan.actors["ant", "rigid_body_properties", "mass"].setup_only
     assert plan.actors["ant", "rigid_shape_properties", "friction"].num_buckets == 500
-    assert plan.colour
+    assert plan.coloured == ("ant",)
     assert plan.actors["ant", "scale", ""].operation == "scaling"
 
 
