@@ -39,6 +39,7 @@ from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.markers import Marker
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder, Track
 from isaacgymenvs_lite.rendering.video import draw_tracks, save_video
+from isaacgymenvs_lite.rendering.view import has_free_root
 from isaacgymenvs_lite.runner import load_player
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.viewers.reference_overlay import reference_track
@@ -237,6 +238,8 @@ def save_performance(performance: Performance, path: Path) -> Path:
         rows = [draw_poses(performance.model, track[times.astype(int)]) for track in tracks]
         return save_png(path, np.concatenate(rows))
     width, height, stride = _SIZES[kind]
+    if not has_free_root(performance.model):  # an arm is not as narrow as a person
+        width, height = height, width
     images = draw_tracks(
         performance.model,
         [track[::stride] for track in tracks],

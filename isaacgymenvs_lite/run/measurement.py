@@ -29,6 +29,9 @@ def clip_spread_m(reference: ReferencePoses) -> float:
     return min((clip - clip.mean(dim=0)).norm(dim=-1).mean().item() for clip in reference.clips)
 
 
+# A policy that may become the best checkpoint is measured after this time (s), even if epochs take
+# so long that `frequency` epochs are not over.
+_LONGEST_WAIT_S = 180.0
 _NOTABLE = 0.1
 """A last policy is reported if it loses more than this share of the best reward."""
 
@@ -48,7 +51,8 @@ class MeasurementObserver(Stateful, AlgoObserver):
 
     Args:
         make_env: maps a number of environments to a task for the evaluation.
-        frequency: epochs between evaluations; 0 for no evaluations.
+        frequency: epochs between evaluations; 0 for no evaluations. If the measurements choose the
+            best checkpoint, there are also evaluations after `_LONGEST_WAIT_S`.
         num_episodes: episodes of one evaluation, which run at the same time.
         chooses_best: whether the measured reward chooses the best checkpoint.
 
@@ -93,7 +97,7 @@ class MeasurementObserver(Stateful, AlgoObserver):
     def after_init(self, algo: Any) -> None:
         """Store the agent and start the clock."""
         self._algo = algo
-        self._start_s = time.monotonic()
+        self._start_s = self._measured_s = time.monotonic()
         # Agents of other projects may lack `save_best`.
         self.chooses_best &= hasattr(algo, "save_best")
         if self.chooses_best:
@@ -105,7 +109,9 @@ class MeasurementObserver(Stateful, AlgoObserver):
             return
         self._epochs += 1
         self._frame, self._epoch = frame, epoch_num
+        since_s = time.monotonic() - self._measured_s
         self._due |= self._epochs % self._frequency == 0
+        self._due |= self.chooses_best and since_s > _LONGEST_WAIT_S
         trained_s = time.monotonic() - self._start_s - self._spent_s
         # The next evaluation is expected to take the average time of the previous evaluations.
         expected_s = self._spent_s / max(1, self._evaluations)
@@ -125,6 +131,7 @@ class MeasurementObserver(Stateful, AlgoObserver):
 
     def _evaluate(self) -> None:
         self._measured_epochs = self._epochs
+        self._measured_s = time.monotonic()
         self.last, self.last_frame = result, frame = self.measure(), self._frame
         measured = result.imitation
         if measured is not None and math.isfinite(measured.pose_error_m):
