@@ -273,6 +273,7 @@ class CpuBatchSimulation:
 
         It has no contacts, which are most of the work. The batch is made at the first use.
         """
+        _ = self.batch  # raises after `close`
         batch = self._positions
         if batch is None:
             model = copy.copy(self.model)
@@ -296,9 +297,10 @@ class CpuBatchSimulation:
 
     def apply_forces(self, bodies: Sequence[str], forces: Tensor) -> None:
         """Apply forces (N, k, 3) during the next step; see `SimulationBackend.apply_forces`."""
+        batch = self.batch
         rows = self._applied_rows
         if rows is None:
-            self._applied_rows = rows = self.batch.bind("xfrc_applied")
+            self._applied_rows = rows = batch.bind("xfrc_applied")
             self._history = self._make_history(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
         names = (*self.body_names, *self.object_names)
         places = [1 + _index(names, body, "body") for body in bodies]
