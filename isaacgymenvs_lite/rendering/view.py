@@ -14,7 +14,7 @@ Points = npt.NDArray[np.float64]
 # fixed robot.
 _ROOM, _WHOLE = 2.6, 2.1
 _MARGIN = 1.4  # for parts of the robot that are closer to the camera than the root
-_MIN_DISTANCE_M, _MIN_FIXED_DISTANCE_M = 1.6, 0.9
+_MIN_DISTANCE_M, _MIN_FIXED_DISTANCE_M = 1.6, 0.6
 # Least height (m) above the ground, in the default pose, at which a robot is a flying robot.
 _FLIES_M = 0.3
 _ELEVATION_DEG = -12.0
