@@ -24,6 +24,7 @@ from isaacgymenvs_lite.tasks.base.assets import hinge_limits
 from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.rows import body_rows, dof_rows
 from isaacgymenvs_lite.tasks.base.scenes import (
     OBJECT_BITS,
     OBJECT_PRIORITY,
@@ -38,9 +39,9 @@ from isaacgymenvs_lite.tasks.base.wrenches import add_wrench_sensors, measure_wr
 from isaacgymenvs_lite.utils.rotations import (
     length,
     normalize,
-    quat_apply,
     quat_diff_rad,
     quat_from_angle_axis,
+    rotate_components,
 )
 from isaacgymenvs_lite.utils.scaling import scale, unscale
 
@@ -174,8 +175,17 @@ def gen_keypoints(
     """
     signs = [[1.0 - 2.0 * (i >> axis & 1) for axis in range(3)] for i in range(num_keypoints)]
     corners = 0.5 * pose.new_tensor(signs) * pose.new_tensor(size)
-    rotations = pose[:, None, 3:7].expand(-1, num_keypoints, 4)
-    return pose[:, None, :3] + quat_apply(rotations, corners.expand(len(pose), -1, 3))
+    rows = pose.t()
+    # The axes of the boxes in world axes, (3 axes, 3 components, N).
+    axes = torch.stack([_axis_rows(rows[3:7], axis) for axis in range(3)])
+    offsets = (corners @ axes.flatten(1)).unflatten(1, (3, -1))
+    return (rows[:3] + offsets).permute(2, 0, 1)
+
+
+def _axis_rows(rotation: Tensor, axis: int) -> Tensor:
+    """Return an axis (3, N) of frames with rotations (4, N) xyzw, in world axes."""
+    unit = torch.eye(3, device=rotation.device)[axis, :, None].expand(3, rotation.shape[1])
+    return torch.stack(rotate_components(rotation, unit))
 
 
 def random_xy(
@@ -423,15 +433,17 @@ class Trifinger(MjcfTask):
         joints = {"dof_pos": NUM_JOINTS, "dof_vel": NUM_JOINTS}
         return joints | {"object_pose": 7, "goal_pose": 7, "last_actions": NUM_JOINTS}
 
-    def _raw_obs(self) -> Tensor:
-        """Return the observations (N, 41) in rad, rad/s and m."""
+    def _raw_rows(self) -> Tensor:
+        """Return the observations as rows (41, N) in rad, rad/s and m."""
         sim = self.simulation
-        joints = (self._of_joints(sim.dof_pos), self._of_joints(sim.dof_vel))
-        return torch.cat((*joints, self._object()[:, :7], self.goal_poses, self.actions), dim=-1)
+        joints = (dof_rows(self._dofs, sim.dof_pos), dof_rows(self._dofs, sim.dof_vel))
+        return torch.cat(
+            (*joints, self._object()[:, :7].t(), self.goal_poses.t(), self.actions.t())
+        )
 
     def compute_obs(self) -> Tensor:
         """Return the observations (N, 41), from -1 to 1 within the limits of the quantities."""
-        raw = self._raw_obs()
+        raw = self._raw_rows().t()
         return unscale(raw, self._obs_low, self._obs_high) if self.env_cfg.normalize_obs else raw
 
     def compute_states(self, env_ids: Tensor | None, observations: Tensor) -> Tensor:
@@ -443,17 +455,15 @@ class Trifinger(MjcfTask):
         """
         sim = self.simulation
         tips = (sim.body_pos, sim.body_rot, sim.body_lin_vel, sim.body_ang_vel)
-        wrenches = measure_wrenches(sim, self._tip_names).permute(2, 1, 0).flatten(1)
-        states = torch.cat(
-            (
-                self._raw_obs(),
-                self._object()[:, 7:],
-                torch.cat([v.index_select(1, self._tips) for v in tips], dim=-1).flatten(1),
-                self._of_joints(sim.dof_forces),
-                wrenches,
-            ),
-            dim=-1,
+        wrenches = measure_wrenches(sim, self._tip_names)
+        rows = (
+            self._raw_rows(),
+            self._object()[:, 7:].t(),
+            body_rows(self._tips, *tips),
+            dof_rows(self._dofs, sim.dof_forces),
+            wrenches.transpose(0, 1).flatten(0, 1),
         )
+        states = torch.cat(rows).t()
         return states if env_ids is None else states.index_select(0, env_ids)
 
     # --- starts -----------------------------------------------------------------------------

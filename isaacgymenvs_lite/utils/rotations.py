@@ -328,7 +328,7 @@ def quat_from_euler_xyz(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
 def quat_diff_rad(a: Tensor, b: Tensor) -> Tensor:
     """Return the angle (...) in rad between rotations a and b (..., 4)."""
     difference = quat_mul(a, quat_conjugate(b))
-    return 2.0 * torch.asin(difference[..., :3].norm(dim=-1).clamp(max=1.0))
+    return 2.0 * torch.asin(length(difference[..., :3]).clamp(max=1.0))
 
 
 def euler_xyz_to_exp_map(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import logging
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
@@ -32,6 +32,7 @@ from isaacgymenvs_lite.tasks.base.assets import hinge_limits
 from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.rows import body_rows, dof_rows
 from isaacgymenvs_lite.tasks.base.scenes import (
     HAND_BITS,
     OBJECT_BITS,
@@ -52,10 +53,10 @@ from isaacgymenvs_lite.tasks.base.wrenches import add_wrench_sensors, measure_wr
 from isaacgymenvs_lite.utils.rotations import (
     length,
     quat_apply,
-    quat_conjugate,
     quat_diff_rad,
     quat_from_angle_axis,
     quat_mul,
+    quat_mul_components,
 )
 from isaacgymenvs_lite.utils.scaling import scale, unscale
 
@@ -340,7 +341,7 @@ class InHandTask(MjcfTask):
         self.goal_pos = self.start_pos - torch.tensor(
             (0.0, 0.0, _GOAL_BELOW_START_M), device=device
         )
-        self.goal_rot = torch.zeros(n, 4, device=device)  # xyzw
+        self.goal_rot = torch.zeros(4, n, device=device).t()  # (N, 4) xyzw
         self.goal_rot[:, 3] = 1.0
         self.reset_goal_buf = torch.ones(n, dtype=torch.bool, device=device)
         self.successes = torch.zeros(n, device=device)
@@ -511,40 +512,35 @@ class InHandTask(MjcfTask):
         return states if env_ids is None else states.index_select(0, env_ids)
 
     def _observe(self, observation_type: str) -> Tensor:
-        sim, state = self.simulation, self._object()
-        goal_pos = self.goal_pos.expand(self.num_envs, 3)
-        parts: dict[str, Any] = {
-            "dof_pos": lambda: unscale(self._of_joints(sim.dof_pos), self._lower, self._upper),
-            "dof_vel": lambda: VEL_SCALE * self._of_joints(sim.dof_vel),
-            "dof_force": lambda: FORCE_SCALE * self._of_joints(sim.dof_forces),
-            "object_pose": lambda: state[:, :7],
-            "object_pos": lambda: state[:, :3],
-            "object_lin_vel": lambda: state[:, 7:10],
-            "object_ang_vel": lambda: VEL_SCALE * state[:, 10:],
-            "goal_pose": lambda: torch.cat((goal_pos, self.goal_rot), dim=-1),
-            "goal_relative_rot_xyzw": lambda: quat_mul(
-                state[:, 3:7], quat_conjugate(self.goal_rot)
+        sim, held, goal_rot = self.simulation, self._object().t(), self.goal_rot.t()
+        joints, tips = self._dofs, self._tips
+        lower, upper = self._lower[:, None], self._upper[:, None]
+        rows: dict[str, Callable[[], Tensor]] = {
+            "dof_pos": lambda: unscale(dof_rows(joints, sim.dof_pos), lower, upper),
+            "dof_vel": lambda: VEL_SCALE * dof_rows(joints, sim.dof_vel),
+            "dof_force": lambda: FORCE_SCALE * dof_rows(joints, sim.dof_forces),
+            "object_pose": lambda: held[:7],
+            "object_pos": lambda: held[:3],
+            "object_lin_vel": lambda: held[7:10],
+            "object_ang_vel": lambda: VEL_SCALE * held[10:],
+            "goal_pose": lambda: torch.cat(
+                (self.goal_pos[:, None].expand(3, self.num_envs), goal_rot)
             ),
-            "fingertip_pos": lambda: sim.body_pos.index_select(1, self._tips).flatten(1),
-            "fingertip_states": lambda: torch.cat(
-                [
-                    values.index_select(1, self._tips)
-                    for values in (sim.body_pos, sim.body_rot, sim.body_lin_vel, sim.body_ang_vel)
-                ],
-                dim=-1,
-            ).flatten(1),
+            "goal_relative_rot_xyzw": lambda: torch.stack(
+                quat_mul_components(held[3:7], (*-goal_rot[:3], goal_rot[3]))
+            ),
+            "fingertip_pos": lambda: body_rows(tips, sim.body_pos),
+            "fingertip_states": lambda: body_rows(
+                tips, sim.body_pos, sim.body_rot, sim.body_lin_vel, sim.body_ang_vel
+            ),
             "fingertip_wrenches": lambda: FORCE_SCALE * self._fingertip_wrenches(),
-            "last_actions": lambda: self.actions,
+            "last_actions": lambda: self.actions.t(),
         }
-        return torch.cat([parts[name]() for name in self._parts_of(observation_type)], dim=-1)
-
-    def _of_joints(self, values: Tensor) -> Tensor:
-        """Return the values (N, D) of the joints in the order of the observations."""
-        return values.index_select(1, self._dofs)
+        return torch.cat([rows[name]() for name in self._parts_of(observation_type)]).t()
 
     def _fingertip_wrenches(self) -> Tensor:
-        """Return contact forces (newton) and torques (Nm) on the fingertips, (N, 6 tips)."""
-        return measure_wrenches(self.simulation, self.tip_names).permute(2, 1, 0).flatten(1)
+        """Return contact forces (newton) and torques (Nm) on the fingertips, (6 tips, N)."""
+        return measure_wrenches(self.simulation, self.tip_names).transpose(0, 1).flatten(0, 1)
 
     # --- goals and starts -------------------------------------------------------------------
 
