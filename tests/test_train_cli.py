@@ -163,7 +163,8 @@ def test_choices_are_whole_and_tasks_only(call: Call, runner, capsys):
     assert call("task=HumanoidAmp") == 2
     said = capsys.readouterr().err
     assert "(did you mean 'HumanoidAMP'?)" in said
-    assert "Cartpole, FrankaCabinet, FrankaCubeStack, Humanoid, " in said  # without Classic, a YAML file that tasks include
+    # Without Classic, a YAML file that tasks include.
+    assert "Cartpole, FrankaCabinet, FrankaCubeStack, Humanoid, " in said
     assert call("train.params.config.foo=1") == 2
     assert " ... " not in capsys.readouterr().err
 
