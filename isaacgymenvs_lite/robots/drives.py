@@ -212,21 +212,33 @@ def add_drives(spec: mujoco.MjSpec, drives: Sequence[Drive]) -> None:
         joint.armature = drive.armature
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         if joint.type != _BALL:
-            _add_actuator(spec, drive, drive.joint, (1, 0, 0))
+            add_actuator(spec, drive.joint, drive.kp, drive.kd, drive.effort)
             continue
         limit = float(joint.range[1])
         limit = math.radians(limit) if spec.compiler.degree else limit
         if joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE or limit <= 0:
             limit = math.pi
         for axis, direction in _AXES.items():
-            actuator = _add_actuator(spec, drive, f"{drive.joint}_{axis}", direction)
+            actuator = add_actuator(
+                spec, drive.joint, drive.kp, drive.kd, drive.effort, f"_{axis}", direction
+            )
             actuator.lengthrange[:] = (-min(limit, math.pi), min(limit, math.pi))
 
 
-def _add_actuator(
-    spec: mujoco.MjSpec, drive: Drive, name: str, direction: tuple[int, int, int]
+def add_actuator(
+    spec: mujoco.MjSpec,
+    joint: str,
+    kp: float,
+    kd: float,
+    effort: float,
+    suffix: str = "",
+    direction: tuple[int, int, int] = (1, 0, 0),
 ) -> mujoco.MjsActuator:
-    actuator = spec.add_actuator(name=name, target=drive.joint)
+    """Add a position actuator with the name of its joint and a suffix.
+
+    `kp` is in Nm/rad, `kd` in Nm s/rad and `effort` in Nm (N/m, N s/m and newton for slides).
+    """
+    actuator = spec.add_actuator(name=joint + suffix, target=joint)
     actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
     actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
     # The defaults of the file would otherwise also apply to the new actuators.
@@ -234,9 +246,9 @@ def _add_actuator(
     actuator.ctrllimited = actuator.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
     actuator.gainprm[:] = 0
     actuator.biasprm[:] = 0
-    actuator.gainprm[0] = drive.kp
-    actuator.biasprm[:3] = (0, -drive.kp, -drive.kd)
+    actuator.gainprm[0] = kp
+    actuator.biasprm[:3] = (0, -kp, -kd)
     actuator.gear[:] = (*direction, 0, 0, 0)
     actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-    actuator.forcerange[:] = (-drive.effort, drive.effort)
+    actuator.forcerange[:] = (-effort, effort)
     return actuator

@@ -41,8 +41,8 @@ class MeasurementObserver(Stateful, AlgoObserver):
 
     The observer also writes the errors of a task's goal, for example `goal/velocity_error_m_s`. For
     a task without reference motions it writes `measured/reward`, and the policy with the highest
-    measured reward is the run's best checkpoint. If the task counts successes, the policy with the
-    most successes is, and the reward decides between equal policies. rl_games would choose the
+    measured reward is the run's best checkpoint. If the task counts successes, more successes come
+    first, and the reward decides between equal policies. rl_games would choose the
     checkpoint by the last training episodes, which may be many epochs old.
 
     The evaluation has a separate simulation, so that it does not disturb the training. Its fixed

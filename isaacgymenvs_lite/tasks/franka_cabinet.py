@@ -36,7 +36,7 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms, replace_where
 from isaacgymenvs_lite.tasks.base.scenes import (
     FURNITURE_BITS,
     PositionDrive,
-    add_box,
+    add_object,
     add_placing_joints,
     add_position_drive,
     find_body,
@@ -63,7 +63,6 @@ _PUBLISHED_CABINETS = ("urdf/sektion_cabinet_model/urdf/sektion_cabinet_2.urdf",
 _CABINET_POS_M = (0.0, 0.0, 0.4)
 _PREFIX = "cabinet_"
 _PROP_SIZE_M, _PROP_SPACING_M, _PROP_DENSITY = 0.08, 0.09, 400.0
-_PROP_COLOUR = (0.85, 0.49, 0.26, 1.0)
 
 _GRASPED_M = 0.02
 _OPEN_M = 0.39
@@ -249,8 +248,8 @@ class FrankaCabinet(FrankaTask):
             row, column = divmod(number, per_row)
             offset = (first + _PROP_SPACING_M * column, first + _PROP_SPACING_M * row, 0.0)
             pos = [sum(axis) for axis in zip(drawer_pos, offset, strict=True)]
-            size = (_PROP_SIZE_M,) * 3
-            add_box(spec, f"prop_{number}", size, pos, _PROP_COLOUR, _PROP_DENSITY)
+            size = (0.5 * _PROP_SIZE_M,) * 3
+            add_object(spec, f"prop_{number}", size, pos, _PROP_DENSITY)
 
     def create_sim(self) -> None:
         """Create the simulations and look up the drawer."""

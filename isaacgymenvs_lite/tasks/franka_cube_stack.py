@@ -26,6 +26,7 @@ from torch import Tensor
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.tasks.base.franka import (
     ARM_EFFORTS_NM,
+    LINK7,
     NUM_ARM_JOINTS,
     NUM_JOINTS,
     FrankaConfig,
@@ -33,7 +34,15 @@ from isaacgymenvs_lite.tasks.base.franka import (
 )
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
-from isaacgymenvs_lite.tasks.base.scenes import add_box, add_motor, add_placing_joints, find_body
+from isaacgymenvs_lite.tasks.base.scenes import (
+    ORANGE,
+    add_furniture,
+    add_motor,
+    add_object,
+    add_placing_joints,
+    find_body,
+    topmost,
+)
 from isaacgymenvs_lite.utils.rotations import length, normalize_angle
 
 _DEFAULT_POS = (0.0, 0.1963, 0.0, -2.6180, 0.0, 2.9416, 0.7854, 0.035, 0.035)
@@ -48,7 +57,7 @@ _TABLE_TOP_M = 1.025
 SIZE_A_M, SIZE_B_M = 0.05, 0.07
 _CUBE_DENSITY = 1000.0
 _GREY, _DARK = (0.75, 0.75, 0.78, 1.0), (0.45, 0.47, 0.50, 1.0)
-_ORANGE, _BLUE = (0.85, 0.49, 0.26, 1.0), (0.24, 0.36, 0.55, 1.0)
+_BLUE = (0.24, 0.36, 0.55, 1.0)
 # The cubes start at least twice as far apart as the sum of their half diagonals.
 _MIN_DISTANCE_M = (SIZE_A_M + SIZE_B_M) * math.sqrt(2.0)
 # After so many places of cube A, cube B, which leaves no room in the middle of a small area, gets
@@ -203,16 +212,16 @@ class FrankaCubeStack(FrankaTask):
         """Add the table, the stand of the arm and the cubes."""
         cfg = self.env_cfg
         if cfg.franka_position_noise > 0 or cfg.franka_rotation_noise > 0:
-            base = find_body(spec, ("panda_link0", "link0", "fr3_link0"))
+            base = topmost(find_body(spec, LINK7))
             self.placing_joints = add_placing_joints(base, "xyr")
-        add_box(spec, "table", _TABLE_SIZE_M, _TABLE_POS_M, _GREY)
-        add_box(spec, "table_stand", _STAND_SIZE_M, _STAND_POS_M, _DARK)
+        add_furniture(spec, "table", _TABLE_SIZE_M, _TABLE_POS_M, _GREY)
+        add_furniture(spec, "table_stand", _STAND_SIZE_M, _STAND_POS_M, _DARK)
         for name, size, x, colour in (
-            ("cubeA", SIZE_A_M, -0.1, _ORANGE),
+            ("cubeA", SIZE_A_M, -0.1, ORANGE),
             ("cubeB", SIZE_B_M, 0.1, _BLUE),
         ):
             pos = (x, 0.0, _TABLE_TOP_M + 0.5 * size)
-            add_box(spec, name, (size,) * 3, pos, colour, _CUBE_DENSITY)
+            add_object(spec, name, (0.5 * size,) * 3, pos, _CUBE_DENSITY, rgba=colour)
 
     def create_sim(self) -> None:
         """Create the simulations; draw the places of the bases."""

@@ -1,7 +1,7 @@
 """ShadowHand: the Shadow hand turns a block, an egg or a pen in its palm, as in IsaacGymEnvs.
 
-The module `base.in_hand` has formulas and differences. The joints have no friction, whose published
-value of 0.001 Nm would cost almost half of the speed.
+The module `base.in_hand` has formulas and differences. The joints have no friction (published:
+0.001 Nm), which makes the physics faster.
 """
 
 from __future__ import annotations

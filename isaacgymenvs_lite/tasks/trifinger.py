@@ -26,10 +26,9 @@ from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.rows import body_rows, dof_rows
 from isaacgymenvs_lite.tasks.base.scenes import (
-    OBJECT_BITS,
-    OBJECT_PRIORITY,
     Names,
     add_motor,
+    add_object,
     find_body,
     find_joint,
     limit_speed,
@@ -318,20 +317,8 @@ class Trifinger(MjcfTask):
         self._joint_names = [joint.name for joint in joints]
         self._tip_names = [tip.name for tip in tips]
         add_wrench_sensors(spec, self._tip_names)
-        body = spec.worldbody.add_body(name="object", pos=(0.0, 0.0, _START_HEIGHT_M))
-        body.add_freejoint(name="object")
-        contype, conaffinity = OBJECT_BITS
-        body.add_geom(
-            name="object",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=(_HALF_M,) * 3,
-            density=_DENSITY,
-            priority=OBJECT_PRIORITY,
-            contype=contype,
-            conaffinity=conaffinity,
-            condim=4,
-            rgba=(0.85, 0.49, 0.26, 1.0),
-        )
+        start = (0.0, 0.0, _START_HEIGHT_M)
+        add_object(spec, "object", (_HALF_M, _HALF_M, _HALF_M), start, _DENSITY)
 
     def build_model(self) -> mujoco.MjModel:
         """Return the compiled model with the friction of the table."""

@@ -42,7 +42,7 @@ _ARM_JOINTS = tuple(
 _FINGER_JOINTS = tuple(
     (f"panda_finger_joint{i}", f"finger_joint{i}", f"fr3_finger_joint{i}") for i in (1, 2)
 )
-_LINK7 = ("panda_link7", "link7", "fr3_link7")
+LINK7 = ("panda_link7", "link7", "fr3_link7")
 _HAND = ("panda_hand", "hand", "fr3_hand")
 _LEFT_FINGER = ("panda_leftfinger", "left_finger", "fr3_leftfinger")
 _RIGHT_FINGER = ("panda_rightfinger", "right_finger", "fr3_rightfinger")
@@ -106,7 +106,7 @@ class FrankaTask(MjcfTask):
         """Place the arm, give its joints drives, and furnish the scene."""
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = 10.0
-        link7 = find_body(spec, _LINK7)
+        link7 = find_body(spec, LINK7)
         hand = ensure_frame(spec, _HAND, link7, _HAND_M, _HAND_ROT_WXYZ)
         root = topmost(link7)
         root.pos, root.quat = self.base_pos, self.base_quat_wxyz

@@ -35,11 +35,10 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.rows import body_rows, dof_rows
 from isaacgymenvs_lite.tasks.base.scenes import (
     HAND_BITS,
-    OBJECT_BITS,
-    OBJECT_PRIORITY,
     Bits,
     Names,
     PositionDrive,
+    add_object,
     add_position_drive,
     align_root,
     find_body,
@@ -300,20 +299,7 @@ class InHandTask(MjcfTask):
         add_wrench_sensors(spec, self.tip_names)
         held, (x, y) = self.objects[self.env_cfg.object_type], self.start_offset_m
         self._start_pos = (x, y, self.hand_height_m + held.start_above_hand_m)
-        body = spec.worldbody.add_body(name="object", pos=self._start_pos)
-        body.add_freejoint(name="object")
-        contype, conaffinity = OBJECT_BITS
-        body.add_geom(
-            name="object",
-            type=held.kind,
-            size=held.size_m,
-            density=held.density,
-            priority=OBJECT_PRIORITY,
-            contype=contype,
-            conaffinity=conaffinity,
-            condim=4,
-            rgba=(0.85, 0.49, 0.26, 1.0),
-        )
+        add_object(spec, "object", held.size_m, self._start_pos, held.density, held.kind)
 
     @abstractmethod
     def change_joints(self, spec: mujoco.MjSpec, joints: Sequence[mujoco.MjsJoint]) -> None:

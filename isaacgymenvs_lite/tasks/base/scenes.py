@@ -13,12 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.robots.drives import add_actuator
 from isaacgymenvs_lite.robots.structure import add_stage
 
 Bits = tuple[int, int]
@@ -29,8 +31,10 @@ HAND_BITS: Bits = (4, 4)
 HAND_WITHOUT_SELF_CONTACT_BITS: Bits = (4, 0)
 OBJECT_BITS: Bits = (1, 5)
 OBJECT_PRIORITY = 1
-"""The friction of an object with this priority counts. Otherwise MuJoCo takes the larger friction
-of two geoms, and a random friction below that of the hand would have no effect."""
+"""MuJoCo takes the friction of the geom with the higher priority. For equal priorities it takes the
+larger friction, and a random friction below the hand's friction would have no effect."""
+ORANGE = (0.85, 0.49, 0.26, 1.0)
+_BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 
 _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "r": (0, 0, 1)}
 
@@ -158,12 +162,10 @@ def add_position_drive(
     The module `drives` has the formula. The joint's own damping stays as it is. Contact forces act
     against the armature of the drive, without which a finger could not hold an object.
     """
-    actuator = _add_actuator(spec, joint, drive.effort)
     damping = drive.damping + timestep_s * drive.stiffness
     joint.armature += timestep_s * damping
-    actuator.gainprm[0] = drive.stiffness
-    actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.biasprm[:3] = (0.0, -drive.stiffness, -damping)
+    joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    add_actuator(spec, joint.name, drive.stiffness, damping, drive.effort)
 
 
 def limit_speed(joint: mujoco.MjsJoint, effort: float, speed: float) -> None:
@@ -177,22 +179,8 @@ def limit_speed(joint: mujoco.MjsJoint, effort: float, speed: float) -> None:
 
 def add_motor(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, effort: float) -> None:
     """Add an actuator whose control is a torque (Nm) or force (newton) of at most `effort`."""
-    _add_actuator(spec, joint, effort).gainprm[0] = 1.0
-
-
-def _add_actuator(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, effort: float) -> mujoco.MjsActuator:
     joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
-    actuator = spec.add_actuator(name=joint.name, target=joint.name)
-    actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
-    # The defaults of the file would otherwise also apply to the new actuators.
-    actuator.dyntype, actuator.gaintype = mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtGain.mjGAIN_FIXED
-    actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
-    actuator.ctrllimited = actuator.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
-    actuator.gainprm[:], actuator.biasprm[:] = 0, 0
-    actuator.gear[:] = (1, 0, 0, 0, 0, 0)
-    actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-    actuator.forcerange[:] = (-effort, effort)
-    return actuator
+    add_actuator(spec, joint.name, kp=0.0, kd=0.0, effort=effort).gainprm[0] = 1.0
 
 
 def add_placing_joints(body: mujoco.MjsBody, axes: str) -> tuple[str, ...]:
@@ -215,27 +203,37 @@ def add_placing_joints(body: mujoco.MjsBody, axes: str) -> tuple[str, ...]:
     return tuple(names)
 
 
-def add_box(
+def add_furniture(
     spec: mujoco.MjSpec,
     name: str,
     size_m: Sequence[float],
     pos: Sequence[float],
     rgba: Sequence[float],
-    density: float | None = None,
 ) -> None:
-    """Add a box with edges `size_m` (3,) m. It is free if it has a density (kg/m^3), else fixed."""
+    """Add a fixed box with edges `size_m` (3,) m."""
     body = spec.worldbody.add_body(name=name, pos=pos)
-    contype, conaffinity = FURNITURE_BITS
-    if density is not None:
-        body.add_freejoint(name=name)
-        contype, conaffinity = OBJECT_BITS
-    body.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[0.5 * edge for edge in size_m],
-        density=density or 0.0,
-        contype=contype,
-        conaffinity=conaffinity,
-        condim=4,
-        rgba=rgba,
-    )
+    _add_geom(body, _BOX, [0.5 * edge for edge in size_m], FURNITURE_BITS, rgba=rgba)
+
+
+def add_object(
+    spec: mujoco.MjSpec,
+    name: str,
+    size_m: Sequence[float],
+    pos: Sequence[float],
+    density: float,
+    kind: int = _BOX,
+    rgba: Sequence[float] = ORANGE,
+) -> None:
+    """Add a free body with one geom; type and sizes (m) are MuJoCo's, the density is in kg/m^3."""
+    body = spec.worldbody.add_body(name=name, pos=pos)
+    body.add_freejoint(name=name)
+    fields = {"rgba": rgba, "density": density, "priority": OBJECT_PRIORITY}
+    _add_geom(body, kind, size_m, OBJECT_BITS, **fields)
+
+
+def _add_geom(
+    body: mujoco.MjsBody, kind: int, size_m: Sequence[float], bits: Bits, **fields: Any
+) -> None:
+    contype, conaffinity = bits
+    own = {"contype": contype, "conaffinity": conaffinity, "condim": 4}
+    body.add_geom(name=body.name, type=kind, size=size_m, **own, **fields)
