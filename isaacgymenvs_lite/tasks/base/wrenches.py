@@ -20,7 +20,7 @@ _FRAME_SENSORS = {
     "yaxis": mujoco.mjtSensor.mjSENS_FRAMEYAXIS,
     "zaxis": mujoco.mjtSensor.mjSENS_FRAMEZAXIS,
 }
-_NET_FORCE = 3  # MuJoCo's number of reduce="netforce"
+NET_FORCE = 3  # MuJoCo's number of reduce="netforce"
 
 
 def add_wrench_sensors(spec: mujoco.MjSpec, bodies: Sequence[str]) -> None:
@@ -34,7 +34,7 @@ def add_wrench_sensors(spec: mujoco.MjSpec, bodies: Sequence[str]) -> None:
         sensor = spec.add_sensor(
             name=f"wrench_{name}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=body, objname=name
         )
-        sensor.intprm[:3] = (1 << force | 1 << torque | 1 << point, _NET_FORCE, 1)
+        sensor.intprm[:3] = (1 << force | 1 << torque | 1 << point, NET_FORCE, 1)
     for name in bodies:
         for what, kind in _FRAME_SENSORS.items():
             frame = mujoco.mjtObj.mjOBJ_XBODY

@@ -7,11 +7,11 @@ from collections.abc import Iterable
 import mujoco
 
 from isaacgymenvs_lite.simulation.model_layout import CONTACT_SENSOR_PREFIX
+from isaacgymenvs_lite.tasks.base.wrenches import NET_FORCE
 
 _DAMPING = 0.01  # 1/s
 _RGBA = (0.72, 0.36, 0.30, 1.0)
 _FRICTION = (1.0, 0.05, 0.05)
-_NET_FORCE = 3  # `reduce` of a contact sensor
 
 
 def add_box(
@@ -41,7 +41,7 @@ def add_box(
         type=mujoco.mjtSensor.mjSENS_CONTACT,
         objtype=mujoco.mjtObj.mjOBJ_BODY,
         objname=name,
-        intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), _NET_FORCE, 1],
+        intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), NET_FORCE, 1],
     )
 
 
