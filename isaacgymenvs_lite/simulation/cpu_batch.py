@@ -114,7 +114,7 @@ class CpuBatchSimulation:
         self._sensor_rows = batch.bind("sensordata")
         self._force_rows: list[np.ndarray] | None = None
         self._applied_rows: np.ndarray | None = None
-        # (N, warnings, [last info, count]) -> counts
+        # `warning` is (N, warnings, 2): the last info and the count.
         self._warnings = batch.warning[:, _DIVERGED, 1]
         layout, buffers = self.layout, self._buffers
         self._contacts: list[tuple[Floats, slice | np.ndarray, np.ndarray]] = []
@@ -155,8 +155,7 @@ class CpuBatchSimulation:
         self.object_states = as_tensor(buffers.object_states)
         self.object_contact_forces = as_tensor(buffers.object_contact_forces)
         self.failed = torch.zeros(self.num_envs, dtype=torch.bool)
-        # Whether the state of an environment was set after the last step; it then lacks
-        # measurements.
+        # Environments whose state was set after the last step have no measurements.
         self._written = np.zeros(self.num_envs, dtype=bool)
         self._speeds = [buffers.velocities]
         if self.object_names:
@@ -213,9 +212,11 @@ class CpuBatchSimulation:
         if self._force_rows is None:
             # After the first use of these values the batch copies them at every step.
             self._force_rows = [batch.bind("qfrc_actuator"), batch.bind("qfrc_passive")]
+            if self.model.ngravcomp > 0:  # a part of qfrc_passive
+                self._force_rows.append(batch.bind("qfrc_gravcomp"))
         dofs = slice(self.layout.dof_vel_adr, self.layout.num_qvel)
-        actuators, passive = (rows[:, dofs] for rows in self._force_rows)
-        return self._measured(actuators + passive)
+        actuators, passive, *compensation = (rows[:, dofs] for rows in self._force_rows)
+        return self._measured(actuators + passive - sum(compensation))
 
     def sensor(self, *names: str) -> Tensor:
         """Return the values (N, k) of sensors; see `SimulationBackend.sensor`."""
@@ -343,8 +344,7 @@ class CpuBatchSimulation:
         """Reset diverged simulations to the default state; set their flags and count them."""
         diverged = np.zeros(self.num_envs, dtype=bool)
         for speeds in self._speeds:
-            # Because it is slow, the test of each environment is made only if any value is too
-            # large or NaN.
+            # The test of each environment is slow, so it runs only if a value is too large or NaN.
             if not -MAX_SPEED <= speeds.min() <= speeds.max() <= MAX_SPEED:
                 diverged |= (np.abs(speeds) > MAX_SPEED).any(axis=0)
         if raised is not None:

@@ -1,8 +1,8 @@
 """AllegroHand: the Allegro hand turns a block, an egg or a pen in its palm, as in IsaacGymEnvs.
 
-The module `base.in_hand` has formulas and differences. In IsaacGymEnvs the observed torques of the
-joints are zero; here they are the torques of the drives. The joints have no friction: PhysX's
-coefficient has no counterpart in MuJoCo.
+The module `base.in_hand` has formulas and further differences. In IsaacGymEnvs the observed torques
+of the joints are zero; here they are the torques of drives and dampers. The joints have no
+friction: PhysX's coefficient has no counterpart in MuJoCo.
 """
 
 from __future__ import annotations

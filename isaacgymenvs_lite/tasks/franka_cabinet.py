@@ -7,16 +7,16 @@ The published reward pays for each step with a drawer that is almost open, and a
 the episode, so that the best policy holds the drawer just short of open. The key `openBonus`, which
 is not published, pays for the last step.
 
-Differences from IsaacGymEnvs: the first observation of an episode has the positions of that episode
-in all entries. The noise of the cabinet's place is drawn at each start of an episode. The lower
-drawer is light (assets/mjcf/sektion_cabinet.xml), and the fingers' drives are softer
+Differences from IsaacGymEnvs: all entries of an episode's first observation are current; there some
+are from the previous episode. Each episode places the cabinet anew (`startPositionNoise`). The
+lower drawer is light (assets/mjcf/sektion_cabinet.xml), and the fingers' drives are softer
 (`base.franka`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import torch
@@ -28,6 +28,7 @@ from isaacgymenvs_lite.tasks.base.franka import (
     ARM_EFFORTS_NM,
     NUM_ARM_JOINTS,
     NUM_JOINTS,
+    FrankaAssetConfig,
     FrankaConfig,
     FrankaTask,
 )
@@ -41,6 +42,7 @@ from isaacgymenvs_lite.tasks.base.scenes import (
     add_position_drive,
     find_body,
     find_joint,
+    remove_controls,
     set_bits,
     subtree,
     topmost,
@@ -66,13 +68,22 @@ _PROP_SIZE_M, _PROP_SPACING_M, _PROP_DENSITY = 0.08, 0.09, 400.0
 
 _GRASPED_M = 0.02
 _OPEN_M = 0.39
+_BEHIND_HANDLE_M = 0.04
 _FINGER_TRAVEL_M = 0.04
+
+
+@dataclass(frozen=True)
+class FrankaCabinetAssetConfig(FrankaAssetConfig):
+    """`task.env.asset`."""
+
+    asset_file_name_cabinet: str = setting("", key="assetFileNameCabinet")
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrankaCabinetConfig(FrankaConfig):
     """`task.env` of FrankaCabinet."""
 
+    asset: FrankaCabinetAssetConfig = field(default_factory=FrankaCabinetAssetConfig)
     episode_length: int = setting(500, key="episodeLength", minimum=2)
     num_props: int = setting(16, key="numProps", minimum=0, maximum=64)
     start_position_noise: float = setting(0.0, key="startPositionNoise", minimum=0)  # m
@@ -109,7 +120,7 @@ def compute_franka_observations(
         to_target: (N, 3) m, vector from the hand's grasp point to the drawer's.
         drawer_pos: (N,) m, opening of the top drawer.
         drawer_vel: (N,) m/s.
-        dof_velocity_scale: factor of the velocities of the arm.
+        dof_velocity_scale: factor of `dof_vel`.
     """
     drawer = torch.stack((drawer_pos, drawer_vel), dim=-1)
     scaled = unscale(dof_pos, lower, upper)
@@ -167,7 +178,7 @@ def compute_franka_reward(
         "bonus": cfg.open_bonus * (drawer_opening > _OPEN_M),
     }
     fingers_x = torch.minimum(left_finger_pos[:, 0], right_finger_pos[:, 0])
-    is_behind = fingers_x < drawer_grasp_pos[:, 0] - _FINGER_TRAVEL_M
+    is_behind = fingers_x < drawer_grasp_pos[:, 0] - _BEHIND_HANDLE_M
     return replace_where(terms, is_behind, "behind_handle", -1.0)
 
 
@@ -233,6 +244,7 @@ class FrankaCabinet(FrankaTask):
         drawer = find_body(cabinet, ("drawer_top",))
         self._drawer_name = _PREFIX + drawer.name
         self._drawer_joint = _PREFIX + find_joint(cabinet, ("drawer_top_joint",)).name
+        remove_controls(cabinet)
         for geom in cabinet.worldbody.geoms:  # a floor of a user's file
             cabinet.delete(geom)
         root = topmost(drawer)

@@ -1,7 +1,7 @@
 """ShadowHand: the Shadow hand turns a block, an egg or a pen in its palm, as in IsaacGymEnvs.
 
-The module `base.in_hand` has formulas and differences. The joints have no friction (published:
-0.001 Nm), which makes the physics faster.
+The module `base.in_hand` has formulas and further differences. The joints have no friction
+(published: 0.001 Nm), which makes the physics faster.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _EFFORTS_NM = {
 _STIFFNESS, _WRIST_STIFFNESS = 1.0, 5.0  # Nm/rad
 _DAMPING, _WRIST_DAMPING = 0.1, 0.5  # Nm s/rad
 _ARMATURE, _WRIST_ARMATURE = 0.001, 0.005  # kg m^2
-# A tendon of each finger couples its last two joints: 0.00705 J0 - 0.00805 J1, in m.
+# A tendon couples the last two joints of each finger except the thumb: 0.00705 J0 - 0.00805 J1 (m).
 _TENDON_COEFFICIENTS = {"J0": 0.00705, "J1": -0.00805}
 _TENDON_LIMIT_M = 0.001
 _TENDON_DAMPING = 0.1  # N s/m
@@ -85,7 +85,7 @@ class ShadowHand(InHandTask):
     def change_joints(self, spec: mujoco.MjSpec, joints: Sequence[mujoco.MjsJoint]) -> None:
         """Set dampings and armatures, and couple the last two joints of the fingers."""
         for name, joint in zip(_JOINTS, joints, strict=True):
-            # The dampings of the other joints are dampings of their drives.
+            # The drives damp the other joints.
             joint.damping[:] = (0.0 if name in _EFFORTS_NM else _DAMPING, 0.0, 0.0)
             joint.armature = _WRIST_ARMATURE if name.startswith("WR") else _ARMATURE
             joint.frictionloss = 0.0

@@ -3,9 +3,9 @@
 The task keeps two quirks: the weight of the eight corners is `object_dist.weight`, and reaching the
 goal does not end an episode.
 
-Differences from IsaacGymEnvs: an episode starts without an additional simulator call, and its first
-step compares the fingertips with their start and not with the end of the previous episode. A cube
-counts as at its goal if it is there at the end of the episode.
+Differences from IsaacGymEnvs: an episode starts without an additional simulator call. The reward of
+its first step uses where the fingertips started (there: where the last episode ended). An episode
+succeeds if the cube is at its goal in the last step.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from torch import Tensor
 
 from isaacgymenvs_lite.rendering.markers import GO_COLOUR, Marker, Solid
 from isaacgymenvs_lite.schema import setting
-from isaacgymenvs_lite.tasks.base.assets import hinge_limits
 from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
@@ -32,6 +31,7 @@ from isaacgymenvs_lite.tasks.base.scenes import (
     find_body,
     find_joint,
     limit_speed,
+    remove_controls,
 )
 from isaacgymenvs_lite.tasks.base.task_config import TaskConfig
 from isaacgymenvs_lite.tasks.base.wrenches import add_wrench_sensors, measure_wrenches
@@ -158,7 +158,7 @@ class TrifingerConfig(TaskConfig):
 
 
 def lgsk_kernel(x: Tensor, scale: float = 50.0, eps: float = 2.0) -> Tensor:
-    """Return the logistic kernel 1 / (exp(scale x) + eps + exp(-scale x)), as IsaacGymEnvs."""
+    """Return 1 / (exp(scale x) + eps + exp(-scale x)), the logistic kernel of IsaacGymEnvs."""
     scaled = scale * x
     return 1.0 / (scaled.exp() + eps + (-scaled).exp())
 
@@ -202,7 +202,7 @@ def random_z(num: int, min_height: float, max_height: float, device: str | torch
 
 
 def default_orientation(num: int, device: str | torch.device) -> Tensor:
-    """Return identical rotations (num, 4) xyzw."""
+    """Return identity rotations (num, 4) xyzw."""
     return torch.tensor((0.0, 0.0, 0.0, 1.0), device=device).repeat(num, 1)
 
 
@@ -306,9 +306,8 @@ class Trifinger(MjcfTask):
         """Add motors, sensors and the cube."""
         joints = [find_joint(spec, names) for names in _JOINTS]
         tips = [find_body(spec, names) for names in _TIPS]
-        find_body(spec, ("table",))
-        for thing in (*spec.actuators, *spec.tendons, *spec.sensors, *spec.keys):
-            spec.delete(thing)
+        find_body(spec, ("table",))  # raises ConfigError if the file has none
+        remove_controls(spec)
         if (floor := spec.geom("floor")) is not None:
             floor.pos[2] = _FLOOR_HEIGHT_M
         for joint in joints:
@@ -330,10 +329,7 @@ class Trifinger(MjcfTask):
         """Create the simulations and look up joints and fingertips."""
         super().create_sim()
         sim, device = self.simulation, self.device
-        dofs = [sim.dof_names.index(name) for name in self._joint_names]
-        limits = torch.from_numpy(hinge_limits(self._model, self._layout)).float().to(device)
-        self._dofs = torch.tensor(dofs, device=device)
-        self._lower, self._upper = limits[dofs].unbind(-1)
+        self._dofs, self._lower, self._upper = self.find_joints(self._joint_names)
         tips = [sim.body_names.index(name) for name in self._tip_names]
         self._tips = torch.tensor(tips, device=device)
         self._default_pos = torch.tensor(_DEFAULT_POS_RAD, device=device)
@@ -429,7 +425,7 @@ class Trifinger(MjcfTask):
         )
 
     def compute_obs(self) -> Tensor:
-        """Return the observations (N, 41), from -1 to 1 within the limits of the quantities."""
+        """Return the observations (N, 41); `normalize_obs` scales limits to [-1, 1]."""
         raw = self._raw_rows().t()
         return unscale(raw, self._obs_low, self._obs_high) if self.env_cfg.normalize_obs else raw
 

@@ -169,3 +169,17 @@ def test_bodies_without_contact_sensors_have_no_force() -> None:
 def test_unknown_names(simulation: SimulationBackend, call, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         call(simulation)
+
+
+def test_joint_forces_do_not_contain_the_compensation_of_gravity() -> None:
+    spec = mujoco.MjSpec.from_string(ARM.replace('gravity="0 0 0"', 'gravity="0 0 -10"'))
+    for body in spec.bodies:
+        body.gravcomp = 1.0
+    spec.joint("j2").stiffness[0] = 3.0
+    simulation = make_simulation(spec.compile(), N, substeps=1)
+    _ = simulation.dof_forces  # measured from here on
+    _write(simulation, torch.arange(N))
+    spring = -3.0 * simulation.dof_pos[:, 1]  # forces of the start of the step
+    simulation.step()
+    torch.testing.assert_close(simulation.dof_forces[:, 1], spring)
+    assert (simulation.dof_forces[:, [0, 2, 3]] == 0.0).all()

@@ -422,3 +422,13 @@ def test_a_file_with_menageries_names_makes_the_same_task(
         for task in (own, other):
             task.step(action)
     compare(5e-5)  # the file has six digits, and no fingertips of 0.7 g
+
+
+def test_a_users_cabinet_comes_without_its_actuators(make_task: MakeTask, tmp_path: Path) -> None:
+    spec = mujoco.MjSpec.from_file(str(assets_dir() / "mjcf/sektion_cabinet.xml"))
+    spec.add_actuator(name="motor", target="drawer_top_joint", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    path = tmp_path / "cabinet.xml"
+    path.write_text(spec.to_xml())
+    task = make_task("task=FrankaCabinet", f"task.env.asset.assetFileNameCabinet={path}")
+    task.step(task.zero_actions())
+    assert task.simulation.model.nu == 9

@@ -1,4 +1,4 @@
-"""The arm Franka Panda of FrankaCabinet and FrankaCubeStack: names, joints and drives."""
+"""The Franka Panda arm of FrankaCabinet and FrankaCubeStack: names, joints and drives."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.schema import setting
-from isaacgymenvs_lite.tasks.base.assets import asset_path, hinge_limits
+from isaacgymenvs_lite.tasks.base.assets import asset_path
 from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.scenes import (
     ARM_BITS,
@@ -30,7 +30,7 @@ NUM_ARM_JOINTS = 7
 NUM_JOINTS = 9
 ARM_EFFORTS_NM = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
 _MAX_SPEEDS_RAD_S = (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)
-# Inertia of the motors behind their gears (kg m^2), as MuJoCo's menagerie has it.
+# Inertia of the motors as seen behind their gears (kg m^2), from MuJoCo's menagerie.
 _ARMATURE = 0.1
 # IsaacGymEnvs' FrankaCabinet has 1e6 N/m. With 5000 N/m, as in FrankaCubeStack, the fingers are
 # stable at this project's time steps.
@@ -46,7 +46,7 @@ LINK7 = ("panda_link7", "link7", "fr3_link7")
 _HAND = ("panda_hand", "hand", "fr3_hand")
 _LEFT_FINGER = ("panda_leftfinger", "left_finger", "fr3_leftfinger")
 _RIGHT_FINGER = ("panda_rightfinger", "right_finger", "fr3_rightfinger")
-# In the frame of link 7, for files in which the hand is a part of link 7.
+# The hand's pose in the frame of link 7, for files in which the hand is a part of link 7.
 _HAND_M, _HAND_ROT_WXYZ = (0.0, 0.0, 0.107), (0.9238795, 0.0, 0.0, -0.3826834)
 _GRIP_SITE_M = (0.0, 0.0, 0.1025)  # in the frame of the hand
 
@@ -56,7 +56,6 @@ class FrankaAssetConfig(AssetConfig):
     """`task.env.asset`."""
 
     asset_file_name_franka: str = setting("", key="assetFileNameFranka")
-    asset_file_name_cabinet: str = setting("", key="assetFileNameCabinet")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,11 +63,10 @@ class FrankaConfig(TaskConfig):
     """Keys of `task.env` that both tasks share."""
 
     asset: FrankaAssetConfig = field(default_factory=FrankaAssetConfig)
-    dist_reward_scale: float = setting(key="distRewardScale")
 
 
 def _tip_pos(joint: mujoco.MjsJoint) -> tuple[float, float, float]:
-    """Return the place (m) of a fingertip in the frame of its finger, which `joint` moves."""
+    """Return the fingertip's position (m) in the frame of the finger that `joint` moves."""
     return (0.0, 0.0015 * float(joint.axis[1]), 0.0441)
 
 
@@ -126,7 +124,8 @@ class FrankaTask(MjcfTask):
             limit_speed(joint, effort, speed)
             joint.armature = _ARMATURE
         for joint in fingers:
-            joint.damping[:] = joint.armature = 0.0
+            joint.damping[:] = 0.0
+            joint.armature = 0.0
         self.joint_names = tuple(joint.name for joint in (*arm, *fingers))
         timestep_s = self.sim_cfg.dt / self.sim_cfg.substeps
         self.add_arm_drives(spec, arm, timestep_s)
@@ -148,11 +147,8 @@ class FrankaTask(MjcfTask):
         """Create the simulations and look up joints and bodies."""
         super().create_sim()
         sim = self.simulation
-        dofs = [sim.dof_names.index(name) for name in self.joint_names]
-        self._dofs = torch.tensor(dofs, device=self.device)
+        self._dofs, self.lower_limits, self.upper_limits = self.find_joints(self.joint_names)
         self._placing_dofs = [sim.dof_names.index(name) for name in self.placing_joints]
-        limits = torch.from_numpy(hinge_limits(self._model, self._layout)).float()
-        self.lower_limits, self.upper_limits = limits[dofs].to(self.device).unbind(-1)
         self._bodies = {
             part: sim.body_names.index(name) for part, name in self.body_names_of_franka.items()
         }

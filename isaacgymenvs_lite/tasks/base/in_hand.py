@@ -6,9 +6,9 @@ The formulas come from IsaacGymEnvs. The task keeps these quirks:
 - The goal of a pen is reached at twice the angle of other objects.
 - Relative actions move the targets by the time of one simulator call, not of a control step.
 
-Differences from IsaacGymEnvs: a random force acts during a whole control step with the impulse that
-it has there in one simulator call. The forces of joints are the torques of drives and springs, and
-the forces on fingertips are contact forces in the frames of the fingertips.
+Differences from IsaacGymEnvs: a random force acts during the whole control step; there the same
+impulse acts within one simulator call. The forces of joints are the torques of drives, springs and
+dampers, and the forces on fingertips are contact forces in the frames of the fingertips.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.paths import assets_dir
 from isaacgymenvs_lite.rendering.markers import GO_COLOUR, Marker, Solid
 from isaacgymenvs_lite.schema import setting
-from isaacgymenvs_lite.tasks.base.assets import hinge_limits
 from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
@@ -180,7 +179,7 @@ def compute_hand_reward(
 def randomize_rotation(
     rand0: Tensor, rand1: Tensor, x_unit_tensor: Tensor, y_unit_tensor: Tensor
 ) -> Tensor:
-    """Return rotations (n, 4) xyzw about y and then x, as IsaacGymEnvs.
+    """Return rotations (n, 4) xyzw about y and then x, as in IsaacGymEnvs.
 
     The random numbers (n,) are in [-1, 1] and mean angles in units of pi. The axes are (n, 3).
     """
@@ -198,7 +197,7 @@ def randomize_rotation_pen(
     y_unit_tensor: Tensor,
     z_unit_tensor: Tensor,
 ) -> Tensor:
-    """Return rotations (n, 4) xyzw of lying pens, as IsaacGymEnvs.
+    """Return rotations (n, 4) xyzw of lying pens, as in IsaacGymEnvs.
 
     The pen is tilted by at most `max_angle` (rad). As there, only `rand0` (n,) has an influence.
     """
@@ -233,9 +232,9 @@ class InHandTask(MjcfTask):
     joints: ClassVar[tuple[Names, ...]]
     """The D joints in the order of the observations."""
     drives: ClassVar[dict[int, PositionDrive]]
-    """The drives of the actuated joints, by their numbers, in the order of the actions."""
+    """The drives of the actuated joints, by their indices in `joints`, in the actions' order."""
     base_joints: ClassVar[tuple[int, ...]]
-    """Numbers of the joints that place a user's hand where this project's hand is."""
+    """Indices of the joints by which `align_root` places a user's hand."""
     fingertips: ClassVar[tuple[Names, ...]] = ()
     """The bodies of the fingertips, if they are observed."""
     bits: ClassVar[Bits] = HAND_BITS
@@ -277,8 +276,7 @@ class InHandTask(MjcfTask):
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
         """Give the hand drives and sensors, and add the object."""
-        # With elliptic cones, or if Newton's method stops earlier, contacts between fingers
-        # sometimes diverge.
+        # Contacts between fingers sometimes diverge with elliptic cones or a larger tolerance.
         spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
         spec.option.impratio = 1.0
         spec.option.tolerance = 1e-12
@@ -309,10 +307,7 @@ class InHandTask(MjcfTask):
         """Create the simulations and look up joints, fingertips and the object."""
         super().create_sim()
         sim, device = self.simulation, self.device
-        dofs = [sim.dof_names.index(name) for name in self.joint_names]
-        limits = torch.from_numpy(hinge_limits(self._model, self._layout)).float().to(device)
-        self._dofs = torch.tensor(dofs, device=device)
-        self._lower, self._upper = limits[dofs].unbind(-1)
+        self._dofs, self._lower, self._upper = self.find_joints(self.joint_names)
         self._driven = torch.tensor(tuple(self.drives), device=device)
         tips = [sim.body_names.index(name) for name in self.tip_names]
         self._tips = torch.tensor(tips, device=device, dtype=torch.int64)
@@ -403,7 +398,7 @@ class InHandTask(MjcfTask):
         return self.goal_distance >= self.env_cfg.fall_distance
 
     def compute_reached(self) -> Tensor | None:
-        """Return where (N,) the largest number of goals is reached, if there is one."""
+        """Return where (N,) `maxConsecutiveSuccesses` is reached; 0 means no largest number."""
         most = self.env_cfg.max_consecutive_successes
         return self.successes >= most if most > 0 else None
 
@@ -425,7 +420,7 @@ class InHandTask(MjcfTask):
         running = self._num_counted + float(self.successes.sum())
         self._num_counted += float((self.successes * self.reset_buf).sum())
         log.info(
-            "mean consecutive successes: %.1f of all episodes so far, %.1f of ended episodes",
+            "mean goals of an episode: %.1f with running episodes, %.1f of ended episodes",
             running / (self._num_resets + self.num_envs),
             self._num_counted / self._num_resets,
         )
@@ -480,7 +475,7 @@ class InHandTask(MjcfTask):
     def observation_groups(self) -> dict[str, int]:
         """Return the parts of the observation.
 
-        Joint positions are shares of their ranges from -1 to 1. Velocities of joints and angular
+        Joint positions are scaled from their limits to [-1, 1]. Velocities of joints and angular
         velocities of the object are scaled by 0.2, forces and torques by 10. Fingertip states have
         position, rotation xyzw, linear and angular velocity of each fingertip.
         """

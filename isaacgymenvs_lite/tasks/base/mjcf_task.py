@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
 import mujoco
+import torch
+from torch import Tensor
 
 from isaacgymenvs_lite.schema import read_section
 from isaacgymenvs_lite.simulation.backend import make_simulation
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_model
+from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_model, hinge_limits
 from isaacgymenvs_lite.tasks.base.task_config import (
     UNREAD_ENV_KEYS,
     SimConfig,
@@ -121,3 +124,10 @@ class MjcfTask(VecTask):
             substeps=self.sim_cfg.substeps * self.simulator_calls(),
             num_threads=read_num_threads(self.cfg["sim"]),
         )
+
+    def find_joints(self, names: Sequence[str]) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the columns (k,) of joints in `dof_pos`, and their lower and upper limits (k,)."""
+        dofs = [self.simulation.dof_names.index(name) for name in names]
+        limits = torch.from_numpy(hinge_limits(self._model, self._layout)[dofs]).float()
+        lower, upper = limits.to(self.device).unbind(-1)
+        return torch.tensor(dofs, device=self.device), lower, upper

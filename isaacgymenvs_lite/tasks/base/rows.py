@@ -1,7 +1,7 @@
 """Observations as rows with one value for each environment.
 
-The tensors of the backend keep each component of all environments together. Rows are joined and
-scaled in contiguous memory, several times as fast as columns.
+Row i has component i of all environments, as the backend stores its state. Joining and scaling rows
+is several times as fast as joining and scaling columns.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ def body_rows(bodies: Tensor, *values: Tensor) -> Tensor:
 
     Args:
         bodies: (K,) ids of bodies.
-        values: tensors (N, B, c_i) of the backend, whose c values in all are joined for each body.
+        values: tensors (N, B, c_i) of the backend; c is the sum of all c_i.
     """
     parts = [value.permute(2, 1, 0).index_select(1, bodies) for value in values]
     return torch.cat(parts).transpose(0, 1).flatten(0, 1)

@@ -1,12 +1,11 @@
 """Builds the scene of an arm or a hand in an MjSpec: the robot of a file, furniture and objects.
 
-The robot's file may be this project's own, or a user's file with names of its own, for example from
-MuJoCo's menagerie. A task names joints and bodies as IsaacGymEnvs does, with the names that other
-makers use beside them. Actuators, tendons and equality constraints of the file are replaced by the
-published drives.
+The robot's file may be this project's own, or a user's file, for example from MuJoCo's menagerie. A
+task lists the published name of each joint and body, and then the names in other files. The
+published drives replace the actuators, tendons and equality constraints of the file.
 
-Collision bits: an arm and furniture do not collide with themselves. A hand collides with objects
-and, with `HAND_BITS`, with itself. Objects collide with everything.
+Collision bits: the links of an arm do not collide with each other, and neither does furniture. A
+hand collides with objects and, with `HAND_BITS`, with itself. Objects collide with everything.
 """
 
 from __future__ import annotations
@@ -90,16 +89,21 @@ def ensure_frame(
 def prepare_robot(spec: mujoco.MjSpec, root: mujoco.MjsBody, bits: Bits) -> None:
     """Remove the file's controls, compensate the robot's weight, set its bits, and add a stage.
 
-    `root` is the robot's first body. The integrator becomes the one for `add_position_drive`.
+    `root` is the robot's first body. The integrator becomes Euler's, as `add_position_drive` needs.
     """
-    for thing in (*spec.actuators, *spec.tendons, *spec.equalities, *spec.sensors, *spec.keys):
-        spec.delete(thing)
+    remove_controls(spec)
     if spec.geom("floor") is None:
         add_stage(spec)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     for body in subtree(root):
         body.gravcomp = 1.0
         set_bits(body.geoms, bits)
+
+
+def remove_controls(spec: mujoco.MjSpec) -> None:
+    """Remove actuators, tendons, equality constraints, sensors and keys."""
+    for thing in (*spec.actuators, *spec.tendons, *spec.equalities, *spec.sensors, *spec.keys):
+        spec.delete(thing)
 
 
 def align_root(
@@ -159,8 +163,8 @@ def add_position_drive(
 ) -> None:
     """Add a position actuator that acts on the state after a step, as PhysX's drives do.
 
-    The module `drives` has the formula. The joint's own damping stays as it is. Contact forces act
-    against the armature of the drive, without which a finger could not hold an object.
+    The joint's own damping stays as it is. Contact forces also act on the added armature; without
+    it a finger could not hold an object.
     """
     damping = drive.damping + timestep_s * drive.stiffness
     joint.armature += timestep_s * damping
