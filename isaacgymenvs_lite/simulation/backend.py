@@ -160,7 +160,7 @@ class SimulationBackend(Protocol):
         ...
 
     def mass_matrix(self, dofs: Sequence[str]) -> Tensor:
-        """Return the rows and columns of k degrees of freedom of the mass matrix, (N, k, k).
+        """Return the block (N, k, k) of the mass matrix that belongs to k degrees of freedom.
 
         The unit is kg m^2 for hinges and kg for slides. The matrix includes armatures, and belongs
         to the current state. The tensor is new in each call.
@@ -171,8 +171,8 @@ class SimulationBackend(Protocol):
         """Apply forces (N, k, 3) in newton to the centres of mass of k bodies or objects.
 
         The forces are in world axes, and act during the whole next `step()` and not longer. A
-        second call before this step replaces the forces on its bodies. `write_state` removes the
-        forces in its environments.
+        second call before this step replaces the forces on the bodies that it names. `write_state`
+        removes the forces in its environments.
         """
         ...
 
@@ -255,7 +255,7 @@ def make_simulation(
         model: the compiled model.
         num_envs: number of simulations.
         substeps: physics steps of one control step.
-        num_threads: number of worker threads; 0 means as many threads as CPUs with enough work.
+        num_threads: number of worker threads; 0 means one for each CPU, fewer for little work.
         backend: `cpu_batch`, which is the only backend.
     """
     from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation

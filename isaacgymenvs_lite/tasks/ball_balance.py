@@ -155,7 +155,7 @@ class BallBalance(MjcfTask):
         sim = self.simulation
         ball = self._ball_states()
         # The wrench (6, N) is in the tray's frame, about the tray's middle.
-        wrench = measure_wrenches(self.simulation, ("tray",))[:, 0]
+        wrench = measure_wrenches(self.simulation, ("tray",))
         return compute_bbot_observations(
             sim.dof_pos.index_select(1, self._driven),
             sim.dof_vel.index_select(1, self._driven),

@@ -438,13 +438,12 @@ class Trifinger(MjcfTask):
         """
         sim = self.simulation
         tips = (sim.body_pos, sim.body_rot, sim.body_lin_vel, sim.body_ang_vel)
-        wrenches = measure_wrenches(sim, self._tip_names)
         rows = (
             self._raw_rows(),
             self._object()[:, 7:].t(),
             body_rows(self._tips, *tips),
             dof_rows(self._dofs, sim.dof_forces),
-            wrenches.transpose(0, 1).flatten(0, 1),
+            measure_wrenches(sim, self._tip_names),
         )
         states = torch.cat(rows).t()
         return states if env_ids is None else states.index_select(0, env_ids)

@@ -514,14 +514,10 @@ class InHandTask(MjcfTask):
             "fingertip_states": lambda: body_rows(
                 tips, sim.body_pos, sim.body_rot, sim.body_lin_vel, sim.body_ang_vel
             ),
-            "fingertip_wrenches": lambda: FORCE_SCALE * self._fingertip_wrenches(),
+            "fingertip_wrenches": lambda: FORCE_SCALE * measure_wrenches(sim, self.tip_names),
             "last_actions": lambda: self.actions.t(),
         }
         return torch.cat([rows[name]() for name in self._parts_of(observation_type)]).t()
-
-    def _fingertip_wrenches(self) -> Tensor:
-        """Return contact forces (newton) and torques (Nm) on the fingertips, (6 tips, N)."""
-        return measure_wrenches(self.simulation, self.tip_names).transpose(0, 1).flatten(0, 1)
 
     # --- goals and starts -------------------------------------------------------------------
 

@@ -181,7 +181,7 @@ class LocomotionTask(MjcfTask):
 
     def foot_wrenches(self) -> Tensor:
         """Return contact forces and torques (6 K, N) on the feet, in the foot frames."""
-        return measure_wrenches(self.simulation, self.foot_names).transpose(0, 1).flatten(0, 1)
+        return measure_wrenches(self.simulation, self.foot_names)
 
     def compute_failures(self) -> Tensor:
         """Return where (N,) the torso is below the termination height."""

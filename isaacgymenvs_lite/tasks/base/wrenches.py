@@ -42,10 +42,11 @@ def add_wrench_sensors(spec: mujoco.MjSpec, bodies: Sequence[str]) -> None:
 
 
 def measure_wrenches(simulation: SimulationBackend, bodies: Sequence[str]) -> Tensor:
-    """Return the contact forces and torques (6, K, N) on K bodies (see `body_wrenches`).
+    """Return the contact forces and torques on K bodies as rows (6 K, N), body after body.
 
-    The model needs the sensors `wrench_<body>`, `position_<body>`, `xaxis_<body>`, `yaxis_<body>`
-    and `zaxis_<body>` for every body. Their values belong to the start of the last physics step.
+    The six are those of `body_wrenches`, at the start of the last physics step. The model needs the
+    sensors `wrench_<body>`, `position_<body>`, `xaxis_<body>`, `yaxis_<body>` and `zaxis_<body>`
+    for every body.
     """
     contacts = [f"wrench_{body}" for body in bodies]
     frames = [f"{what}_{body}" for body in bodies for what in _FRAME_SENSORS]
@@ -54,7 +55,8 @@ def measure_wrenches(simulation: SimulationBackend, bodies: Sequence[str]) -> Te
         part.unflatten(0, (len(bodies), -1)).transpose(0, 1)
         for part in measured.split([_CONTACT_SIZE * len(bodies), _FRAME_SIZE * len(bodies)])
     )
-    return body_wrenches(contact, frame[:3], frame[3:].unflatten(0, (3, 3)))
+    wrenches = body_wrenches(contact, frame[:3], frame[3:].unflatten(0, (3, 3)))
+    return wrenches.transpose(0, 1).flatten(0, 1)
 
 
 def body_wrenches(contacts: Tensor, body_pos: Tensor, body_axes: Tensor) -> Tensor:
