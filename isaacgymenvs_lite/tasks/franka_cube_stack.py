@@ -1,16 +1,24 @@
 """FrankaCubeStack: an arm picks up cube A and puts it on cube B, as in IsaacGymEnvs.
 
-A stacked cube ends the episode. With the published reward of 16 a policy earns more by holding cube
-A above cube B; the task file has 500. The task keeps these quirks, because policies depend on them:
+Published task files keep the published rewards. This project's task file has others:
+
+- A stacked cube pays 500 and not 16, since it ends the episode, and holding cube A above cube B
+  otherwise earns more.
+- `graspRewardScale` and `raiseRewardScale` pay for the way to a lifted cube. The published rewards
+  lead a closed gripper to the side of cube A, and pay nothing before the cube is 6.5 cm higher.
+
+The task keeps these quirks, because policies depend on them:
 
 - Operational-space control uses the Jacobian of the hand, but the velocity of the point between the
   fingertips.
-- The reward of a lifted cube contains its alignment twice.
-- A cube counts as stacked only if the hand is more than 4 cm away.
+- The alignment of a lifted cube counts in two terms, `distance` and `align`.
+- A cube is lifted if it is 6.5 cm higher than at its start: the whole edge is subtracted from the
+  height of its centre.
+- A cube is stacked if the point between the fingertips is more than 4 cm from its centre.
 
-Differences from IsaacGymEnvs: cube B starts on the table and not 1 cm inside it, and the first
-observation of an episode has the positions of that episode in all entries. Links of the arm do not
-collide with each other.
+Differences from IsaacGymEnvs: cube B starts on the table and not 1 cm inside it. All entries of an
+episode's first observation are current; there some are from the previous episode. Links of the arm
+do not collide with each other.
 """
 
 from __future__ import annotations
@@ -58,13 +66,14 @@ SIZE_A_M, SIZE_B_M = 0.05, 0.07
 _CUBE_DENSITY = 1000.0
 _GREY, _DARK = (0.75, 0.75, 0.78, 1.0), (0.45, 0.47, 0.50, 1.0)
 _BLUE = (0.24, 0.36, 0.55, 1.0)
-# The cubes start at least twice as far apart as the sum of their half diagonals.
+# The cubes start at least the sum of their diagonals apart.
 _MIN_DISTANCE_M = (SIZE_A_M + SIZE_B_M) * math.sqrt(2.0)
-# After so many places of cube A, cube B, which leaves no room in the middle of a small area, gets
-# another place.
+# Cube B is drawn again after so many draws of cube A, because it leaves no room in the middle of a
+# small area.
 _DRAWS_PER_CUBE_B = 100
 
 _LIFTED_M = 0.04
+_RISE_OF_LIFTED_M = _LIFTED_M + 0.5 * SIZE_A_M
 _STACKED_M = 0.02
 _RELEASED_M = 0.04
 
@@ -86,6 +95,8 @@ class FrankaCubeStackConfig(FrankaConfig):
     lift_reward_scale: float = setting(1.5, key="liftRewardScale")
     align_reward_scale: float = setting(2.0, key="alignRewardScale")
     stack_reward_scale: float = setting(16.0, key="stackRewardScale")
+    grasp_reward_scale: float = setting(0.0, key="graspRewardScale")
+    raise_reward_scale: float = setting(0.0, key="raiseRewardScale")
 
 
 def compute_osc_torques(
@@ -99,8 +110,8 @@ def compute_osc_torques(
 ) -> Tensor:
     """Return the torques (N, 7) in Nm of operational-space control (Khatib 1987, IsaacGymEnvs).
 
-    The torques move the hand, and pull the joints to the default posture where this does not move
-    the hand. They are not limited.
+    The torques move the hand, and in its null space they pull the joints to the default posture.
+    They are not limited.
 
     Args:
         motion: (N, 6) wanted motion of the hand along and about the world axes, m and rad.
@@ -115,8 +126,8 @@ def compute_osc_torques(
     posture = _NULL_STIFFNESS * normalize_angle(default_dof_pos - dof_pos) - _NULL_DAMPING * dof_vel
     null_torques = mass_matrix @ posture[:, :, None]
     wanted = (_STIFFNESS * motion - _DAMPING * velocity)[:, :, None]
-    # J M^-1 J^T (N, 6, 6) maps forces on the hand to accelerations. The acceleration of the hand by
-    # the torques for the posture is subtracted, so that the hand is accelerated as wanted.
+    # J M^-1 J^T (N, 6, 6) maps forces on the hand to accelerations. The acceleration by the torques
+    # for the posture is subtracted, so that the hand is accelerated as wanted.
     moved = torch.linalg.solve(mass_matrix, transposed)
     forces = torch.linalg.solve(jacobian @ moved, wanted - moved.transpose(1, 2) @ null_torques)
     return (null_torques + transposed @ forces).squeeze(-1)
@@ -132,13 +143,19 @@ def compute_franka_reward(
 ) -> Terms:
     """Return the reward terms (N,) for positions (N, 3) in m in the world frame.
 
-    `grip_pos` is the point between the fingertips. If cube A is stacked, the only term is `stack`.
+    `grip_pos` is the point between the fingertips. Where cube A is stacked, all terms except
+    `stack` are zero.
     """
     is_stacked = compute_stacked(cube_a_pos, cube_b_pos, grip_pos)
-    hand = torch.stack((grip_pos, left_tip_pos, right_tip_pos))
-    distances = length(cube_a_pos - hand).sum(0)
-    near = 1.0 - torch.tanh(10.0 / 3.0 * distances)
+    to_hand = torch.stack((grip_pos, left_tip_pos, right_tip_pos)) - cube_a_pos
+    distances = length(to_hand)
+    near = 1.0 - torch.tanh(10.0 / 3.0 * distances.sum(0))
     is_lifted = (cube_a_pos[:, 2] - _TABLE_TOP_M - SIZE_A_M) > _LIFTED_M
+    # `between` is 1 if cube A is in the middle of the fingertips, and 0 if both are on one side.
+    cosine = (to_hand[1] * to_hand[2]).sum(-1) / distances[1:].prod(0).clamp(min=1e-6)
+    between = 0.5 * (1.0 - cosine)
+    gap = (distances[1:].mean(0) - 0.5 * SIZE_A_M).clamp(min=0.0)
+    rise = (cube_a_pos[:, 2] - _TABLE_TOP_M - 0.5 * SIZE_A_M) / _RISE_OF_LIFTED_M
     to_place = cube_b_pos - cube_a_pos
     to_place[:, 2] += 0.5 * (SIZE_A_M + SIZE_B_M)
     aligned = (1.0 - torch.tanh(10.0 * length(to_place))) * is_lifted
@@ -146,13 +163,15 @@ def compute_franka_reward(
         "distance": cfg.dist_reward_scale * torch.maximum(near, aligned),
         "lift": cfg.lift_reward_scale * is_lifted,
         "align": cfg.align_reward_scale * aligned,
+        "grasp": cfg.grasp_reward_scale * between * (1.0 - torch.tanh(20.0 * gap)),
+        "raise": cfg.raise_reward_scale * rise.clamp(0.0, 1.0) * ~is_lifted,
     }
     terms = {name: term.masked_fill(is_stacked, 0.0) for name, term in open_terms.items()}
     return {**terms, "stack": cfg.stack_reward_scale * is_stacked}
 
 
 def compute_stacked(cube_a_pos: Tensor, cube_b_pos: Tensor, grip_pos: Tensor) -> Tensor:
-    """Return where (N,) cube A lies on cube B and the hand has released it; positions (N, 3) m."""
+    """Return where (N,) cube A lies on cube B and is released; positions (N, 3) m."""
     aside = length((cube_b_pos - cube_a_pos)[:, :2])
     height = cube_a_pos[:, 2] - _TABLE_TOP_M
     return (
@@ -197,7 +216,7 @@ class FrankaCubeStack(FrankaTask):
     base_quat_wxyz = (1.0, 0.0, 0.0, 0.0)
 
     def set_sizes(self) -> None:
-        """Set the sizes of the kind of control."""
+        """Set the sizes of observation and actions for `controlType`."""
         self._has_osc = self.env_cfg.control_type == "osc"
         self.num_observations, self.num_actions = (19, 7) if self._has_osc else (26, 8)
 
