@@ -2,10 +2,11 @@
 
 Published task files keep the published rewards. This project's task file has others:
 
-- A stacked cube pays 500 and not 16, since it ends the episode, and holding cube A above cube B
+- A stacked cube pays 1000 and not 16, since it ends the episode, and holding cube A above cube B
   otherwise earns more.
-- `graspRewardScale` and `raiseRewardScale` pay for the way to a lifted cube. The published rewards
-  lead a closed gripper to the side of cube A, and pay nothing before the cube is 6.5 cm higher.
+- `graspRewardScale` and `carryRewardScale` pay for the way. The published rewards lead a closed
+  gripper to the side of cube A, pay nothing before the cube is 6.5 cm higher, and then pay the same
+  wherever it is more than 30 cm away from its place.
 
 The task keeps these quirks, because policies depend on them:
 
@@ -96,7 +97,7 @@ class FrankaCubeStackConfig(FrankaConfig):
     align_reward_scale: float = setting(2.0, key="alignRewardScale")
     stack_reward_scale: float = setting(16.0, key="stackRewardScale")
     grasp_reward_scale: float = setting(0.0, key="graspRewardScale")
-    raise_reward_scale: float = setting(0.0, key="raiseRewardScale")
+    carry_reward_scale: float = setting(0.0, key="carryRewardScale")
 
 
 def compute_osc_torques(
@@ -158,13 +159,15 @@ def compute_franka_reward(
     rise = (cube_a_pos[:, 2] - _TABLE_TOP_M - 0.5 * SIZE_A_M) / _RISE_OF_LIFTED_M
     to_place = cube_b_pos - cube_a_pos
     to_place[:, 2] += 0.5 * (SIZE_A_M + SIZE_B_M)
-    aligned = (1.0 - torch.tanh(10.0 * length(to_place))) * is_lifted
+    to_place_m = length(to_place)
+    aligned = (1.0 - torch.tanh(10.0 * to_place_m)) * is_lifted
+    carried = rise.clamp(0.0, 1.0) * (1.0 - torch.tanh(2.0 * to_place_m))
     open_terms = {
         "distance": cfg.dist_reward_scale * torch.maximum(near, aligned),
         "lift": cfg.lift_reward_scale * is_lifted,
         "align": cfg.align_reward_scale * aligned,
         "grasp": cfg.grasp_reward_scale * between * (1.0 - torch.tanh(20.0 * gap)),
-        "raise": cfg.raise_reward_scale * rise.clamp(0.0, 1.0) * ~is_lifted,
+        "carry": cfg.carry_reward_scale * carried,
     }
     terms = {name: term.masked_fill(is_stacked, 0.0) for name, term in open_terms.items()}
     return {**terms, "stack": cfg.stack_reward_scale * is_stacked}

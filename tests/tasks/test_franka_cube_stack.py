@@ -69,13 +69,13 @@ def test_rewards_by_hand() -> None:
 
 
 def test_rewards_of_the_way_to_a_lifted_cube_by_hand() -> None:
-    cfg = FrankaCubeStackConfig(grasp_reward_scale=0.5, raise_reward_scale=1.5)
+    cfg = FrankaCubeStackConfig(grasp_reward_scale=0.5, carry_reward_scale=1.5)
 
     def terms_of(rise: float, left: list[float], right: list[float]) -> tuple[float, float]:
         a = [0.3, 0.0, TABLE_M + 0.025 + rise]
         tips = [[x + y for x, y in zip(a, tip, strict=True)] for tip in (left, right)]
         terms = compute_franka_reward(*_rows(a, CUBE_B, tips[0], *tips), cfg)
-        return terms["grasp"].item(), terms["raise"].item()
+        return terms["grasp"].item(), terms["carry"].item()
 
     def near(gap: float) -> float:
         return 0.5 * (1.0 - math.tanh(20.0 * gap))
@@ -87,8 +87,10 @@ def test_rewards_of_the_way_to_a_lifted_cube_by_hand() -> None:
     # The fingertips are seen at a right angle, or at one place.
     assert terms_of(0.0, opened, [0, 0, 0.04])[0] == pytest.approx(0.5 * near(0.015), abs=1e-5)
     assert terms_of(0.0, opened, opened)[0] == pytest.approx(0.0, abs=1e-6)
-    rises = [terms_of(rise, opened, opened)[1] for rise in (-0.01, 0.013, 0.0649, 0.0651)]
-    assert rises == pytest.approx([0.0, 0.3, 1.5 * 0.0649 / 0.065, 0.0], abs=1e-5)
+    for rise, share in ((-0.01, 0.0), (0.013, 0.2), (0.2, 1.0)):
+        to_place_m = math.hypot(0.2, 0.2, 0.07 - rise)
+        expected = 1.5 * share * (1.0 - math.tanh(2.0 * to_place_m))
+        assert terms_of(rise, opened, opened)[1] == pytest.approx(expected, abs=2e-5)
 
 
 def test_a_stacked_cube_replaces_the_other_rewards() -> None:
@@ -96,7 +98,7 @@ def test_a_stacked_cube_replaces_the_other_rewards() -> None:
         *_rows(CUBE_A, CUBE_B, HAND, HAND, HAND), FrankaCubeStackConfig(stack_reward_scale=16.0)
     )
     assert {n: t.item() for n, t in terms.items()} == {
-        **dict.fromkeys(("distance", "lift", "align", "grasp", "raise"), 0.0),
+        **dict.fromkeys(("distance", "lift", "align", "grasp", "carry"), 0.0),
         "stack": 16.0,
     }
 
