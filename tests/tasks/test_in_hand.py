@@ -521,3 +521,17 @@ def test_a_users_hand_is_where_the_own_hand_is(
             task.step(action)
     torch.testing.assert_close(found.dof_pos, expected.dof_pos, atol=1e-3, rtol=0.0)
     torch.testing.assert_close(found.body_pos, expected.body_pos, atol=2e-4, rtol=0.0)
+
+
+@pytest.mark.parametrize("task_name", ["AllegroHand", "ShadowHand"])
+def test_a_spinning_pen_does_not_gain_speed(make_task: MakeTask, task_name: str) -> None:
+    task = make_task(f"task={task_name}", "task.env.objectType=pen", num_envs=2)
+    task.reset()
+    states = torch.zeros(2, 1, 13)
+    states[:, 0, 2], states[:, 0, 6] = 3.0, 1.0
+    states[:, 0, 10:] = torch.tensor([5.0, 0.0, 150.0])
+    task.simulation.write_object_states(torch.arange(2), torch.tensor([0]), states)
+    for _ in range(30):
+        task.simulation.step()
+        assert not task.simulation.failed.any()
+        assert task.simulation.object_states[:, 0, 10:].norm(dim=-1).max() < 151.0

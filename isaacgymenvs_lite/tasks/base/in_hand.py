@@ -66,6 +66,7 @@ FORCE_SCALE = 10.0
 _GOAL_BELOW_START_M = 0.04
 _GOAL_IS_DRAWN_AT_M = (-0.2, -0.06, 0.12)  # relative to the goal
 _PEN_TILT_RAD = 0.3
+_MAX_SPIN_RAD_S = 64.0
 _WRENCH_SIZE = 6
 
 _BOX, _ELLIPSOID = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID
@@ -298,6 +299,20 @@ class InHandTask(MjcfTask):
         held, (x, y) = self.objects[self.env_cfg.object_type], self.start_offset_m
         self._start_pos = (x, y, self.hand_height_m + held.start_above_hand_m)
         add_object(spec, "object", held.size_m, self._start_pos, held.density, held.kind)
+
+    def build_model(self) -> mujoco.MjModel:
+        """Return the compiled model. A drag limits the pen's spin, as PhysX limits all bodies'.
+
+        The gyroscopic torque of a body as thin as the pen otherwise makes a fast spin faster and
+        faster at these time steps.
+        """
+        model = super().build_model()
+        if self.env_cfg.object_type == "pen":
+            pen = model.body("object")
+            spins = slice(pen.dofadr[0] + 3, pen.dofadr[0] + 6)
+            drag = pen.inertia.max() / (model.opt.timestep * _MAX_SPIN_RAD_S**2)
+            model.dof_dampingpoly[spins, 1] = drag  # of the third power
+        return model
 
     @abstractmethod
     def change_joints(self, spec: mujoco.MjSpec, joints: Sequence[mujoco.MjsJoint]) -> None:
