@@ -161,7 +161,7 @@ def compute_franka_reward(
     to_place[:, 2] += 0.5 * (SIZE_A_M + SIZE_B_M)
     to_place_m = length(to_place)
     aligned = (1.0 - torch.tanh(10.0 * to_place_m)) * is_lifted
-    carried = rise.clamp(0.0, 1.0) * (1.0 - torch.tanh(2.0 * to_place_m))
+    carried = rise.clamp(0.0, 1.0) * (1.0 - to_place_m).clamp(min=0.0)
     open_terms = {
         "distance": cfg.dist_reward_scale * torch.maximum(near, aligned),
         "lift": cfg.lift_reward_scale * is_lifted,

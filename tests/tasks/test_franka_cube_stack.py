@@ -87,9 +87,9 @@ def test_rewards_of_the_way_to_a_lifted_cube_by_hand() -> None:
     # The fingertips are seen at a right angle, or at one place.
     assert terms_of(0.0, opened, [0, 0, 0.04])[0] == pytest.approx(0.5 * near(0.015), abs=1e-5)
     assert terms_of(0.0, opened, opened)[0] == pytest.approx(0.0, abs=1e-6)
-    for rise, share in ((-0.01, 0.0), (0.013, 0.2), (0.2, 1.0)):
+    for rise, share in ((-0.01, 0.0), (0.013, 0.2), (0.2, 1.0), (1.2, 0.0)):
         to_place_m = math.hypot(0.2, 0.2, 0.07 - rise)
-        expected = 1.5 * share * (1.0 - math.tanh(2.0 * to_place_m))
+        expected = 1.5 * share * (1.0 - to_place_m)
         assert terms_of(rise, opened, opened)[1] == pytest.approx(expected, abs=2e-5)
 
 
