@@ -223,13 +223,11 @@ class FrankaCabinet(FrankaTask):
     base_pos = (1.0, 0.0, 0.0)
     base_quat_wxyz = (0.0, 0.0, 0.0, 1.0)
 
-    def add_arm_drives(
-        self, spec: mujoco.MjSpec, joints: list[mujoco.MjsJoint], timestep_s: float
-    ) -> None:
+    def add_arm_drives(self, spec: mujoco.MjSpec, joints: list[mujoco.MjsJoint]) -> None:
         """Add position drives."""
         for joint, effort in zip(joints, ARM_EFFORTS_NM, strict=True):
             drive = PositionDrive(_ARM_STIFFNESS, _ARM_DAMPING, effort)
-            add_position_drive(spec, joint, drive, timestep_s)
+            add_position_drive(spec, joint, drive)
 
     def furnish(self, spec: mujoco.MjSpec) -> None:
         """Add the cabinet, and loose boxes in its top drawer."""

@@ -223,9 +223,7 @@ class FrankaCubeStack(FrankaTask):
         self._has_osc = self.env_cfg.control_type == "osc"
         self.num_observations, self.num_actions = (19, 7) if self._has_osc else (26, 8)
 
-    def add_arm_drives(
-        self, spec: mujoco.MjSpec, joints: list[mujoco.MjsJoint], timestep_s: float
-    ) -> None:
+    def add_arm_drives(self, spec: mujoco.MjSpec, joints: list[mujoco.MjsJoint]) -> None:
         """Add motors."""
         for joint, effort in zip(joints, ARM_EFFORTS_NM, strict=True):
             add_motor(spec, joint, effort)

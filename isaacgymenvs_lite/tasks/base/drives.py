@@ -7,7 +7,8 @@ position after the step is q' = q + h v', and the momentum of the joint is
 
 An armature of h d + h^2 k and a damping of d + h k on the previous velocity give the same v'.
 MuJoCo's implicit integrators include only the damping. They apply the damping after the
-constraints, which lets the pins of a driven closed chain come apart.
+constraints, which lets the pins of a driven closed chain come apart, and a light finger pass
+through the object that it holds.
 """
 
 from __future__ import annotations

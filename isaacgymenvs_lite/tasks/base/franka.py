@@ -12,6 +12,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.tasks.base.assets import asset_path
+from isaacgymenvs_lite.tasks.base.drives import integrate_drives_implicitly
 from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.scenes import (
     ARM_BITS,
@@ -127,15 +128,13 @@ class FrankaTask(MjcfTask):
             joint.damping[:] = 0.0
             joint.armature = 0.0
         self.joint_names = tuple(joint.name for joint in (*arm, *fingers))
-        timestep_s = self.sim_cfg.dt / self.sim_cfg.substeps
-        self.add_arm_drives(spec, arm, timestep_s)
+        self.add_arm_drives(spec, arm)
         for joint in fingers:
-            add_position_drive(spec, joint, _FINGER_DRIVE, timestep_s)
+            add_position_drive(spec, joint, _FINGER_DRIVE)
+        integrate_drives_implicitly(spec, self.sim_cfg.dt / self.sim_cfg.substeps)
         self.furnish(spec)
 
-    def add_arm_drives(
-        self, spec: mujoco.MjSpec, joints: list[mujoco.MjsJoint], timestep_s: float
-    ) -> None:
+    def add_arm_drives(self, spec: mujoco.MjSpec, joints: list[mujoco.MjsJoint]) -> None:
         """Add actuators for the seven joints of the arm, in their order."""
         raise NotImplementedError
 

@@ -28,6 +28,7 @@ from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.paths import assets_dir
 from isaacgymenvs_lite.rendering.markers import GO_COLOUR, Marker, Solid
 from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.base.drives import integrate_drives_implicitly
 from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
@@ -291,10 +292,10 @@ class InHandTask(MjcfTask):
             align_root(spec, root, own, [(find_joint(spec, n), own.joint(n[0])) for n in bases])
         self.joint_names = tuple(joint.name for joint in joints)
         self.tip_names = tuple(tip.name for tip in tips)
-        timestep_s = self.sim_cfg.dt / self.sim_cfg.substeps
         self.change_joints(spec, joints)
         for number, drive in self.drives.items():
-            add_position_drive(spec, joints[number], drive, timestep_s)
+            add_position_drive(spec, joints[number], drive)
+        integrate_drives_implicitly(spec, self.sim_cfg.dt / self.sim_cfg.substeps)
         add_wrench_sensors(spec, self.tip_names)
         held, (x, y) = self.objects[self.env_cfg.object_type], self.start_offset_m
         self._start_pos = (x, y, self.hand_height_m + held.start_above_hand_m)

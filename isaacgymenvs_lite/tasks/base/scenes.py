@@ -89,12 +89,11 @@ def ensure_frame(
 def prepare_robot(spec: mujoco.MjSpec, root: mujoco.MjsBody, bits: Bits) -> None:
     """Remove the file's controls, compensate the robot's weight, set its bits, and add a stage.
 
-    `root` is the robot's first body. The integrator becomes Euler's, as `add_position_drive` needs.
+    `root` is the robot's first body.
     """
     remove_controls(spec)
     if spec.geom("floor") is None:
         add_stage(spec)
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     for body in subtree(root):
         body.gravcomp = 1.0
         set_bits(body.geoms, bits)
@@ -158,18 +157,10 @@ def set_bits(geoms: Iterable[mujoco.MjsGeom], bits: Bits) -> None:
             geom.contype, geom.conaffinity = bits
 
 
-def add_position_drive(
-    spec: mujoco.MjSpec, joint: mujoco.MjsJoint, drive: PositionDrive, timestep_s: float
-) -> None:
-    """Add a position actuator that acts on the state after a step, as PhysX's drives do.
-
-    The joint's own damping stays as it is. Contact forces also act on the added armature; without
-    it a finger could not hold an object.
-    """
-    damping = drive.damping + timestep_s * drive.stiffness
-    joint.armature += timestep_s * damping
+def add_position_drive(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, drive: PositionDrive) -> None:
+    """Add a position actuator. The damping and armature of the joint stay as they are."""
     joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
-    add_actuator(spec, joint.name, drive.stiffness, damping, drive.effort)
+    add_actuator(spec, joint.name, drive.stiffness, drive.damping, drive.effort)
 
 
 def limit_speed(joint: mujoco.MjsJoint, effort: float, speed: float) -> None:
