@@ -4,9 +4,9 @@ Published task files keep the published rewards. This project's task file has ot
 
 - A stacked cube pays 1000 and not 16, since it ends the episode, and holding cube A above cube B
   otherwise earns more.
-- `graspRewardScale` and `carryRewardScale` pay for the way. The published rewards lead a closed
-  gripper to the side of cube A, pay nothing before the cube is 6.5 cm higher, and then pay the same
-  wherever it is more than 30 cm away from its place.
+- `shapingRewardScale` pays for grasping, carrying and releasing. The published rewards lead a
+  closed gripper to the side of cube A, pay nothing before the cube is 6.5 cm higher, then pay the
+  same wherever it is more than 30 cm away from its place, and nothing for letting it go.
 
 The task keeps these quirks, because policies depend on them:
 
@@ -75,8 +75,10 @@ _DRAWS_PER_CUBE_B = 100
 
 _LIFTED_M = 0.04
 _RISE_OF_LIFTED_M = _LIFTED_M + 0.5 * SIZE_A_M
+_GRASP_REWARD, _CARRY_REWARD, _RELEASE_REWARD = 0.5, 2.0, 1.5
 _STACKED_M = 0.02
 _RELEASED_M = 0.04
+_RELEASED_GAP_M = 0.03  # between cube A and open fingertips that are above it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,8 +98,7 @@ class FrankaCubeStackConfig(FrankaConfig):
     lift_reward_scale: float = setting(1.5, key="liftRewardScale")
     align_reward_scale: float = setting(2.0, key="alignRewardScale")
     stack_reward_scale: float = setting(16.0, key="stackRewardScale")
-    grasp_reward_scale: float = setting(0.0, key="graspRewardScale")
-    carry_reward_scale: float = setting(0.0, key="carryRewardScale")
+    shaping_reward_scale: float = setting(0.0, key="shapingRewardScale")
 
 
 def compute_osc_torques(
@@ -147,27 +148,31 @@ def compute_franka_reward(
     `grip_pos` is the point between the fingertips. Where cube A is stacked, all terms except
     `stack` are zero.
     """
+    is_placed = _compute_placed(cube_a_pos, cube_b_pos)
     is_stacked = compute_stacked(cube_a_pos, cube_b_pos, grip_pos)
     to_hand = torch.stack((grip_pos, left_tip_pos, right_tip_pos)) - cube_a_pos
     distances = length(to_hand)
     near = 1.0 - torch.tanh(10.0 / 3.0 * distances.sum(0))
     is_lifted = (cube_a_pos[:, 2] - _TABLE_TOP_M - SIZE_A_M) > _LIFTED_M
+    to_place = cube_b_pos - cube_a_pos
+    to_place[:, 2] += 0.5 * (SIZE_A_M + SIZE_B_M)
+    to_place_m = length(to_place)
+    aligned = (1.0 - torch.tanh(10.0 * to_place_m)) * is_lifted
     # `between` is 1 if cube A is in the middle of the fingertips, and 0 if both are on one side.
     cosine = (to_hand[1] * to_hand[2]).sum(-1) / distances[1:].prod(0).clamp(min=1e-6)
     between = 0.5 * (1.0 - cosine)
     gap = (distances[1:].mean(0) - 0.5 * SIZE_A_M).clamp(min=0.0)
     rise = (cube_a_pos[:, 2] - _TABLE_TOP_M - 0.5 * SIZE_A_M) / _RISE_OF_LIFTED_M
-    to_place = cube_b_pos - cube_a_pos
-    to_place[:, 2] += 0.5 * (SIZE_A_M + SIZE_B_M)
-    to_place_m = length(to_place)
-    aligned = (1.0 - torch.tanh(10.0 * to_place_m)) * is_lifted
     carried = rise.clamp(0.0, 1.0) * (1.0 - to_place_m).clamp(min=0.0)
+    released = is_placed * (gap / _RELEASED_GAP_M).clamp(max=1.0)
+    shaping = cfg.shaping_reward_scale
     open_terms = {
         "distance": cfg.dist_reward_scale * torch.maximum(near, aligned),
         "lift": cfg.lift_reward_scale * is_lifted,
         "align": cfg.align_reward_scale * aligned,
-        "grasp": cfg.grasp_reward_scale * between * (1.0 - torch.tanh(20.0 * gap)),
-        "carry": cfg.carry_reward_scale * carried,
+        "grasp": shaping * _GRASP_REWARD * between * (1.0 - torch.tanh(20.0 * gap)),
+        "carry": shaping * _CARRY_REWARD * carried,
+        "release": shaping * _RELEASE_REWARD * released,
     }
     terms = {name: term.masked_fill(is_stacked, 0.0) for name, term in open_terms.items()}
     return {**terms, "stack": cfg.stack_reward_scale * is_stacked}
@@ -175,13 +180,15 @@ def compute_franka_reward(
 
 def compute_stacked(cube_a_pos: Tensor, cube_b_pos: Tensor, grip_pos: Tensor) -> Tensor:
     """Return where (N,) cube A lies on cube B and is released; positions (N, 3) m."""
+    is_released = length(cube_a_pos - grip_pos) > _RELEASED_M
+    return _compute_placed(cube_a_pos, cube_b_pos) & is_released
+
+
+def _compute_placed(cube_a_pos: Tensor, cube_b_pos: Tensor) -> Tensor:
+    """Return where (N,) cube A is at its place on cube B; positions (N, 3) m."""
     aside = length((cube_b_pos - cube_a_pos)[:, :2])
     height = cube_a_pos[:, 2] - _TABLE_TOP_M
-    return (
-        (aside < _STACKED_M)
-        & ((height - (SIZE_B_M + 0.5 * SIZE_A_M)).abs() < _STACKED_M)
-        & (length(cube_a_pos - grip_pos) > _RELEASED_M)
-    )
+    return (aside < _STACKED_M) & ((height - (SIZE_B_M + 0.5 * SIZE_A_M)).abs() < _STACKED_M)
 
 
 def draw_cubes(env_ids: Tensor, max_distance_m: float, max_yaw_rad: float) -> Tensor:

@@ -68,8 +68,8 @@ def test_rewards_by_hand() -> None:
     assert far["distance"] == pytest.approx(0.1 * aligned, abs=1e-6)
 
 
-def test_rewards_of_the_way_to_a_lifted_cube_by_hand() -> None:
-    cfg = FrankaCubeStackConfig(grasp_reward_scale=0.5, carry_reward_scale=1.5)
+def test_shaping_rewards_by_hand() -> None:
+    cfg = FrankaCubeStackConfig(shaping_reward_scale=1.0)
 
     def terms_of(rise: float, left: list[float], right: list[float]) -> tuple[float, float]:
         a = [0.3, 0.0, TABLE_M + 0.025 + rise]
@@ -89,8 +89,21 @@ def test_rewards_of_the_way_to_a_lifted_cube_by_hand() -> None:
     assert terms_of(0.0, opened, opened)[0] == pytest.approx(0.0, abs=1e-6)
     for rise, share in ((-0.01, 0.0), (0.013, 0.2), (0.2, 1.0), (1.2, 0.0)):
         to_place_m = math.hypot(0.2, 0.2, 0.07 - rise)
-        expected = 1.5 * share * (1.0 - to_place_m)
+        expected = 2.0 * share * (1.0 - to_place_m)
         assert terms_of(rise, opened, opened)[1] == pytest.approx(expected, abs=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("aside", "gap", "released"),
+    [(0.0, 0.0, 0), (0.0, 0.015, 0.5), (0.0, 0.04, 1), (0.03, 0.04, 0)],
+)
+def test_a_release_is_paid_at_the_place(aside: float, gap: float, released: float) -> None:
+    x, y, z = CUBE_A[0] + aside, *CUBE_A[1:]
+    left, right = [x + 0.025 + gap, y, z], [x - 0.025 - gap, y, z]
+    cfg = FrankaCubeStackConfig(shaping_reward_scale=1.0)
+    terms = compute_franka_reward(*_rows([x, y, z], CUBE_B, [x, y, z], left, right), cfg)
+    # A float32 difference of numbers near 0.1
+    assert terms["release"].item() == pytest.approx(1.5 * released, abs=1e-5)
 
 
 def test_a_stacked_cube_replaces_the_other_rewards() -> None:
@@ -98,7 +111,7 @@ def test_a_stacked_cube_replaces_the_other_rewards() -> None:
         *_rows(CUBE_A, CUBE_B, HAND, HAND, HAND), FrankaCubeStackConfig(stack_reward_scale=16.0)
     )
     assert {n: t.item() for n, t in terms.items()} == {
-        **dict.fromkeys(("distance", "lift", "align", "grasp", "carry"), 0.0),
+        **dict.fromkeys(("distance", "lift", "align", "grasp", "carry", "release"), 0.0),
         "stack": 16.0,
     }
 
