@@ -148,7 +148,6 @@ def compute_franka_reward(
     `grip_pos` is the point between the fingertips. Where cube A is stacked, all terms except
     `stack` are zero.
     """
-    is_placed = _compute_placed(cube_a_pos, cube_b_pos)
     is_stacked = compute_stacked(cube_a_pos, cube_b_pos, grip_pos)
     to_hand = torch.stack((grip_pos, left_tip_pos, right_tip_pos)) - cube_a_pos
     distances = length(to_hand)
@@ -164,7 +163,7 @@ def compute_franka_reward(
     gap = (distances[1:].mean(0) - 0.5 * SIZE_A_M).clamp(min=0.0)
     rise = (cube_a_pos[:, 2] - _TABLE_TOP_M - 0.5 * SIZE_A_M) / _RISE_OF_LIFTED_M
     carried = rise.clamp(0.0, 1.0) * (1.0 - to_place_m).clamp(min=0.0)
-    released = is_placed * (gap / _RELEASED_GAP_M).clamp(max=1.0)
+    released = aligned * (gap / _RELEASED_GAP_M).clamp(max=1.0)
     shaping = cfg.shaping_reward_scale
     open_terms = {
         "distance": cfg.dist_reward_scale * torch.maximum(near, aligned),
@@ -180,15 +179,13 @@ def compute_franka_reward(
 
 def compute_stacked(cube_a_pos: Tensor, cube_b_pos: Tensor, grip_pos: Tensor) -> Tensor:
     """Return where (N,) cube A lies on cube B and is released; positions (N, 3) m."""
-    is_released = length(cube_a_pos - grip_pos) > _RELEASED_M
-    return _compute_placed(cube_a_pos, cube_b_pos) & is_released
-
-
-def _compute_placed(cube_a_pos: Tensor, cube_b_pos: Tensor) -> Tensor:
-    """Return where (N,) cube A is at its place on cube B; positions (N, 3) m."""
     aside = length((cube_b_pos - cube_a_pos)[:, :2])
     height = cube_a_pos[:, 2] - _TABLE_TOP_M
-    return (aside < _STACKED_M) & ((height - (SIZE_B_M + 0.5 * SIZE_A_M)).abs() < _STACKED_M)
+    return (
+        (aside < _STACKED_M)
+        & ((height - (SIZE_B_M + 0.5 * SIZE_A_M)).abs() < _STACKED_M)
+        & (length(cube_a_pos - grip_pos) > _RELEASED_M)
+    )
 
 
 def draw_cubes(env_ids: Tensor, max_distance_m: float, max_yaw_rad: float) -> Tensor:

@@ -95,9 +95,9 @@ def test_shaping_rewards_by_hand() -> None:
 
 @pytest.mark.parametrize(
     ("aside", "gap", "released"),
-    [(0.0, 0.0, 0), (0.0, 0.015, 0.5), (0.0, 0.04, 1), (0.03, 0.04, 0)],
+    [(0.0, 0.0, 0.0), (0.0, 0.015, 0.5), (0.0, 0.04, 1.0), (0.03, 0.04, 1.0 - math.tanh(0.3))],
 )
-def test_a_release_is_paid_at_the_place(aside: float, gap: float, released: float) -> None:
+def test_a_release_is_paid_near_the_place(aside: float, gap: float, released: float) -> None:
     x, y, z = CUBE_A[0] + aside, *CUBE_A[1:]
     left, right = [x + 0.025 + gap, y, z], [x - 0.025 - gap, y, z]
     cfg = FrankaCubeStackConfig(shaping_reward_scale=1.0)
