@@ -44,9 +44,9 @@ def add_wrench_sensors(spec: mujoco.MjSpec, bodies: Sequence[str]) -> None:
 def measure_wrenches(simulation: SimulationBackend, bodies: Sequence[str]) -> Tensor:
     """Return the contact forces and torques on K bodies as rows (6 K, N), body after body.
 
-    The six are those of `body_wrenches`, at the start of the last physics step. The model needs the
-    sensors `wrench_<body>`, `position_<body>`, `xaxis_<body>`, `yaxis_<body>` and `zaxis_<body>`
-    for every body.
+    `body_wrenches` has the frames and units of a body's six rows. The values belong to the start of
+    the last physics step. The model needs the sensors `wrench_<body>`, `position_<body>`,
+    `xaxis_<body>`, `yaxis_<body>` and `zaxis_<body>` for every body.
     """
     contacts = [f"wrench_{body}" for body in bodies]
     frames = [f"{what}_{body}" for body in bodies for what in _FRAME_SENSORS]
