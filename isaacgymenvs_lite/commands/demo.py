@@ -56,7 +56,8 @@ _POSES_OF_A_STRIP = 8
 # The policies in the README, which come first in lists of policies.
 _BEST_FIRST = (
     *("backflip", "spinkick", "g1_walk", "walk", "heading", "cartwheel", "run", "g1_velocity"),
-    *("franka_cabinet", "allegro_hand", "getup", "locomotion_skills", "anymal", "humanoid", "ant"),
+    *("franka_cabinet", "franka_cube_stack", "allegro_hand", "getup", "locomotion_skills"),
+    *("anymal", "humanoid", "ant"),
 )
 # Width and height of a panel in pixels, and number of control steps from frame to frame.
 _SIZES = {"mp4": (320, 480, 1), "webp": (200, 300, 2)}
