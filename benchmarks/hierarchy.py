@@ -1,15 +1,18 @@
 """Measures the levels of a hierarchy by the fixed protocol.
 
     python -m benchmarks.hierarchy skills TARGET [TARGET ...] [key=value ...]
+    python -m benchmarks.hierarchy clips TARGET [TARGET ...] [key=value ...]
     python -m benchmarks.hierarchy getup TARGET [TARGET ...] [key=value ...]
     python -m benchmarks.hierarchy goal TARGET [TARGET ...] [key=value ...]
         [--runs-dir runs/benchmarks] [--random-latents] [--write]
 
 `skills` plays low-level controllers with random latents, which are drawn as in training. It
 measures which clips of the data set the motion resembles, the reward of the encoder, and the share
-of episodes without a fall. `getup` plays low-level controllers of HumanoidASEGetup from the ground.
-It measures the share of episodes in which the humanoid stands after 3 s and until 6 s. `goal` plays
-policies on a task. It measures the task's return, which is 1 for the full reward in every step.
+of episodes without a fall. `clips` plays them with the mean latent of each clip, and counts the
+clips whose pace they follow. `getup` plays low-level controllers of HumanoidASEGetup from the
+ground. It measures the share of episodes in which the humanoid stands after 3 s and until 6 s.
+`goal` plays policies on a task. It measures the task's return, which is 1 for the full reward in
+every step, and its success.
 
 `benchmarks.evaluate` describes the targets. Each policy plays 128 episodes of up to 300 steps from
 the default pose, with mean actions and with the same goals. `--random-latents` replaces the high
@@ -32,6 +35,7 @@ from benchmarks.protocol import IMITATION_SETTINGS, play_checkpoint
 from isaacgymenvs_lite.checkpoints.llc_reference import SHIPPED_LLC
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.evaluation.evaluate import evaluate
+from isaacgymenvs_lite.evaluation.skill_pace import ClipPaces
 from isaacgymenvs_lite.learning.skills.latents import sample_latents
 from isaacgymenvs_lite.learning.skills.low_level_policy import LowLevelPolicy, LowLevelSizes
 
@@ -92,14 +96,18 @@ class GoalReached:
         style_reward: mean discriminator reward per control step. The discriminator belongs to the
             policy's low level, or else to the shipped low level. None if the shipped low level is
             for another humanoid.
+        successes: means of `Goal.successes` at the ends of the episodes.
     """
 
     task_return: float
     no_fall_share: float
     style_reward: float | None
+    successes: dict[str, float]
 
     def __str__(self) -> str:
         text = f"task return {self.task_return:.3f}, without a fall {self.no_fall_share:.2f}"
+        for name, share in self.successes.items():
+            text += f", {name.replace('_', ' ')} {share:.2f}"
         if self.style_reward is None:
             return text
         return f"{text}, style reward {self.style_reward:.3f} per step"
@@ -114,6 +122,8 @@ def fixed_settings(kind: str) -> dict[str, Any]:
         "task.env.fallInitProb": 0.0,
         "task.env.recoveryEpisodeProb": 0.0,
     }
+    if kind == "clips":
+        own["latent"] = "clips"
     if kind == "getup":
         own |= {
             "task.env.fallInitProb": 1.0,
@@ -142,6 +152,18 @@ def measure_skills(player: Any, env: Any) -> Skills:
         shuffled_reward=found.shuffled_reward if found else 0.0,
         no_fall_share=imitation.no_fall_share,
     )
+
+
+def measure_clips(player: Any, env: Any) -> ClipPaces:
+    """Play a low-level controller with latents of clips, see the module docstring.
+
+    Raises:
+        ConfigError: the policy is no low-level controller, or nobody stays up for long enough.
+    """
+    measure_skills(player, env)
+    if player.paces is None:
+        raise ConfigError("clips: no episode was longer than two seconds")
+    return player.paces
 
 
 def measure_getup(player: Any, env: Any) -> GotUp:
@@ -174,6 +196,7 @@ def measure_goal(player: Any, env: Any, random_latents: bool = False) -> GoalRea
         task_return=result.reward / full,
         no_fall_share=result.imitation.no_fall_share,
         style_reward=result.style_reward,
+        successes=result.successes,
     )
 
 
@@ -199,7 +222,7 @@ def _policy(player: Any, random_latents: bool) -> Callable[[dict[str, torch.Tens
 
 def main(words: list[str] | None = None) -> None:
     """Measure the policies and print the results."""
-    parser = parser_of(__doc__, kinds=("skills", "getup", "goal"))
+    parser = parser_of(__doc__, kinds=("skills", "clips", "getup", "goal"))
     parser.add_argument("--random-latents", action="store_true")
     args = parser.parse_intermixed_args(words)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
@@ -207,6 +230,7 @@ def main(words: list[str] | None = None) -> None:
         sys.exit("error: --random-latents has an effect for goal only; leave it out")
     measures = {
         "skills": measure_skills,
+        "clips": measure_clips,
         "getup": measure_getup,
         "goal": partial(measure_goal, random_latents=args.random_latents),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,12 +17,14 @@ from torch import Tensor
 from isaacgymenvs_lite.env_interface import ClipWindowsEnv, SkillEnv, fits, require
 from isaacgymenvs_lite.errors import ConfigError, one_line
 from isaacgymenvs_lite.evaluation.skill_coverage import ClipMatcher, ClipShares
+from isaacgymenvs_lite.evaluation.skill_pace import ClipPaces, PaceProbe
 from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous
 from isaacgymenvs_lite.learning.gen_amp import make_evaluation_schedule
 from isaacgymenvs_lite.learning.modules.skill_encoder import SkillEncoder, SkillRewards
 from isaacgymenvs_lite.learning.published_names import ReadOnly
 from isaacgymenvs_lite.learning.skills.latents import EvaluationLatents
+from isaacgymenvs_lite.motion.motion_lib import MotionLib
 
 log = logging.getLogger(__name__)
 # Number of control steps between two sampled motion windows (sequences of poses) of an environment.
@@ -31,16 +34,19 @@ _STRIDE = 10
 class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
     """The player of `gen_amp` and `ase`.
 
-    The key `latent` of `train.params.config.player` (`latent=` for `train.py`) has three forms.
+    The key `latent` of `train.params.config.player` (`latent=` for `train.py`) has five forms.
     `random`, the default, draws new latents at resets and after random numbers of steps, as
     training does. `interpolate` moves gradually from each latent to the next. A .npy file (K,
-    latent_dim) fixes the latents: environment i always uses row i mod K.
+    latent_dim) fixes the latents: environment i always uses row i mod K. The name of a clip fixes
+    the mean latent that the encoder infers from this clip. `clips` does so for all K clips:
+    environment i uses clip i mod K.
 
     Attributes:
         encoder: infers latents from motion.
         current_latents: (N, Z) latents in the last control step.
         skills: the skills that `run` measured, or None before `run`, if all episodes were too
             short, or if the task is no `ClipWindowsEnv`.
+        paces: the paces that `run` measured, or None if no latents of clips are fixed.
 
     Raises:
         ConfigError: `latent` has none of these forms, or the file's latents have another dimension.
@@ -62,6 +68,8 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
         self.encoder = SkillEncoder(
             self.model.a2c_network, lambda amp_obs: self._preproc_amp_obs(amp_obs), self._amp
         )
+        self._pace_probe: PaceProbe | None = None
+        self.paces: ClipPaces | None = None
         latent = str(self.player_config.get("latent") or "random")
         self._latents = self._latents_of(latent)
         self._probe: SkillProbe | None = None
@@ -78,9 +86,33 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
         if latent in ("random", "interpolate"):
             schedule = make_evaluation_schedule(self._amp, task, self.encoder, self.device)
             return EvaluationLatents(schedule, interpolate=latent == "interpolate")
-        rows = read_latents(Path(latent), self._amp.latent_dim).to(self.device)
-        fixed = rows[torch.arange(self.env.num_envs, device=self.device) % len(rows)]
-        return lambda progress: fixed
+        of_env = torch.arange(self.env.num_envs, device=self.device)
+        if latent.endswith(".npy"):
+            rows = read_latents(Path(latent), self._amp.latent_dim).to(self.device)
+            fixed = rows[of_env % len(rows)]
+            return lambda progress: fixed
+        return self._latents_of_clips(latent)
+
+    def _latents_of_clips(self, latent: str) -> Callable[[Tensor], Tensor]:
+        """Return a function to the mean latents of one clip, or of all clips."""
+        task = require(self.env, ClipWindowsEnv, f"latent={latent}")
+        names = clip_names(task.motion_lib)
+        if latent != "clips" and latent not in names:
+            raise ConfigError(
+                f"latent={latent}: expected random, interpolate, a .npy file, clips, or one of the"
+                f" clips {', '.join(names)}"
+            )
+        chosen = range(len(names)) if latent == "clips" else [names.index(latent)]
+        of_env = torch.tensor(chosen)[torch.arange(self.env.num_envs) % len(chosen)]
+        self._pace_probe = PaceProbe(self.env, names, of_env)
+
+        @cache  # The encoder's weights are restored after this object is made.
+        def latents() -> Tensor:
+            windows = (rows.to(self.device) for rows in task.windows_of_clips())
+            means = torch.stack([self.encoder.read(rows).mean(0) for rows in windows])
+            return F.normalize(means, dim=-1)[of_env.to(self.device)]
+
+        return lambda progress: latents()
 
     def _policy_inputs(self) -> dict[str, Tensor]:
         self.current_latents = self._latents(self.env.progress_buf.to(self.device))
@@ -98,11 +130,21 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
         self.skills = self._probe.result() if self._probe is not None else None
         if self.skills is not None:
             log.info("skills: %s", self.skills)
+        if self._pace_probe is not None:
+            self.paces = self._pace_probe.result()
+            log.info("%s", self.paces)
 
     def _post_step(self, info: dict[str, Any]) -> None:
         super()._post_step(info)
+        if self._pace_probe is not None:
+            self._pace_probe.step()
         if self._probe is not None:
             self._probe.step(self.current_latents, info["amp_obs"].to(self.device))
+
+
+def clip_names(lib: MotionLib) -> list[str]:
+    """Return the clips' file names without folders and endings."""
+    return [Path(lib.get_motion(i).name).stem for i in range(lib.num_motions())]
 
 
 def read_latents(file: Path, latent_dim: int) -> Tensor:
@@ -176,8 +218,7 @@ class SkillProbe:
             return None
         windows, latents = torch.cat(self._windows), torch.cat(self._latents)
         lib = self._env.motion_lib
-        names = [Path(lib.get_motion(i).name).stem for i in range(lib.num_motions())]
-        matcher = ClipMatcher(self._env.windows_of_clips(), names)
+        matcher = ClipMatcher(self._env.windows_of_clips(), clip_names(lib))
         others = latents[torch.randperm(len(latents), device=latents.device)]
         return SkillResult(
             clips=matcher.shares(windows),

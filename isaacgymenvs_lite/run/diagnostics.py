@@ -188,13 +188,23 @@ class DiagnosticsObserver(AlgoObserver):
     # --- the rules ---------------------------------------------------------------------------
 
     def _no_reward(self) -> str | None:
-        if self.config.get("disc_reward_w", 1.0) == 0 or self._policy_learns():
+        has_goal = self.config.get("task_reward_w", 0.0) != 0
+        if self.config.get("disc_reward_w", 1.0) == 0 or (self._policy_learns() and not has_goal):
             return None
         scale = float(self.config.get("disc_reward_scale", 1.0)) or 1.0
         reward = _median(epoch.style_reward for epoch in self._window)
         is_far = bool(self._measured) and self._measured[-1].pose_error_m > BAD_POSE_ERROR_M
-        if not reward / scale < NO_REWARD or not (is_far or self._early_end_rate > MOSTLY_FALLS):
+        is_bad = has_goal or is_far or self._early_end_rate > MOSTLY_FALLS
+        if not reward / scale < NO_REWARD or not is_bad:
             return None
+        if has_goal:
+            return (
+                f"the style reward has vanished: for {_millions(WINDOW_FRAMES)} frames it was"
+                f" {reward:.3f} a step, so the policy earns the task's reward in a way that no clip"
+                " shows; start again from clips that show how the goal is reached, with"
+                f" ++train.params.config.amp_obs_steps=2 and"
+                f" {self._turn('disc_reward_w', 2.0)} (train=HumanoidHeadingAMP is an example)"
+            )
         rate = "disc_learning_rate" if self.config.get("disc_learning_rate") else "learning_rate"
         return (
             f"the style reward has vanished: for {_millions(WINDOW_FRAMES)} frames it was"

@@ -12,6 +12,7 @@ import torch.nn.functional as F
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_continuous import exploration_probs
+from isaacgymenvs_lite.paths import assets_dir
 from tests.learning.conftest import (
     check_slices,
     make_training_set,
@@ -389,8 +390,32 @@ def test_latents_that_cannot_be_used(array, words, make_runner, tmp_path):
 
 def test_a_latent_that_is_no_file(make_runner):
     runner = make_runner(*GEN_AMP, f"+{CONFIG}.player={{latent:randm}}")
-    with pytest.raises(ConfigError, match=r"latent=randm.*expected random, interpolate or"):
+    with pytest.raises(ConfigError, match=r"latent=randm: expected random, .* clips walk"):
         runner.create_player()
+
+
+def test_latents_of_clips(make, make_runner, tmp_path):
+    agent = make("max_iterations=1")
+    agent.train()
+    agent.save(str(tmp_path / "model"))
+    for latent, clips in {"run": ["run"], "clips": ["walk", "run"]}.items():
+        words = (*GEN_AMP, f"task.env.motion_file={two_clips(tmp_path)}", "num_envs=4")
+        runner = make_runner(*words, f"+{CONFIG}.player={{latent:{latent},games_num:4}}")
+        player = runner.create_player()
+        player.restore(str(tmp_path / "model.pth"))
+        player.run()
+        windows = dict(zip(["walk", "run"], player.env.windows_of_clips(), strict=True))
+        means = [player.encoder.read(windows[name]).mean(0) for name in clips]
+        expected = F.normalize(torch.stack(means), dim=-1)[torch.arange(4) % len(clips)]
+        torch.testing.assert_close(player.current_latents, expected)
+
+
+def two_clips(folder) -> str:
+    file = folder / "two.yaml"
+    clips = assets_dir() / "amp/motions"
+    rows = [f"- {{file: {clips / name}.npz, weight: 1}}" for name in ("walk", "run")]
+    file.write_text("\n".join(["motions:", *rows]))
+    return str(file)
 
 
 def test_a_latent_for_a_policy_that_has_none(make_runner):

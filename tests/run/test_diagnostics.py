@@ -119,9 +119,10 @@ def warnings_of(
     frames: int = 8_000_000,
     spread_m: float = 0.1,
     clip_limits: Collection[str] = (),
+    **config: Any,
 ) -> list[tuple[int, str]]:
     """[(frame, warning)] of a run; a measurement every 50 epochs."""
-    diagnostics = judge(CONFIG, clip_limits)
+    diagnostics = judge({**CONFIG, **config}, clip_limits)
     warnings = []
     for epoch in range(1, frames // EPOCH_FRAMES + 1):
         frame = (epoch - 1) * EPOCH_FRAMES
@@ -176,6 +177,15 @@ def test_a_reward_that_is_gone_for_long():
     )
     assert 3_000_000 < frame < 3_300_000
     assert rest == []  # eight million frames are less than half an hour here
+
+
+def test_a_goal_that_is_reached_without_style():
+    """It hopped on one leg towards its goal (HumanoidHeading, ten steps in an AMP observation)."""
+    hops = {"steps": 290.0, "falls": 0.02, "style": 0.003, "agent": 1.0, "demo": 1.0}
+    (_, warning), *_ = warnings_of(lambda _: hops, None, task_reward_w=0.5)
+    assert "0.003 a step, so the policy earns the task's reward in a way that no clip" in warning
+    assert "train.params.config.disc_reward_w=2 (now 1)" in warning
+    assert warnings_of(lambda _: hops, None) == []
 
 
 def test_a_discriminator_that_always_wins_is_no_fault():

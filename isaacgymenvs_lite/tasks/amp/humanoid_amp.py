@@ -274,6 +274,10 @@ class HumanoidAMP(HumanoidAMPBase):
         """Return the errors (N,) of the last step relative to the goal (see `Goal.errors`)."""
         return self.goal.errors()
 
+    def episode_successes(self) -> dict[str, Tensor]:
+        """Return the successes (N,) of the goal (see `Goal.successes`)."""
+        return self.goal.successes()
+
     @property
     def key_help(self) -> str:
         """Help text about the goal's keys."""
@@ -343,8 +347,8 @@ class HumanoidAMP(HumanoidAMPBase):
             with_goal: whether the observations include the goal.
 
         Returns:
-            The samples on rl_device, or None if clips do not determine the observation or if
-            actions are torques.
+            The samples on rl_device, or None if clips do not determine the observation of the
+            character or if actions are torques.
         """
         if not self.env_cfg.pd_control:
             return None
@@ -360,8 +364,10 @@ class HumanoidAMP(HumanoidAMPBase):
         if with_goal and self.goal.num_task_obs > 0:
             roots_ahead = motions.roots_ahead(motion_ids, times, self.goal.look_ahead_s)
             goal = self.goal.observe_clip(roots_ahead)
-            if goal is None:
-                return None
+            if goal is None:  # the actor learns to follow the clips whatever the goal is
+                self.goal.reset(torch.arange(self.num_envs, device=self.device))
+                drawn = self.goal.observe(None)
+                goal = drawn[torch.randint(len(drawn), (num_samples,), device=self.device)]
             obs = torch.cat((obs, goal), dim=-1)
         _, near, far = states[1].view(3, num_samples, -1)
         # Exponential maps of consecutive states may jump by 2 pi.

@@ -94,6 +94,8 @@ class Goal(Stateful):
     def observe_clip(self, root_states: Tensor) -> Tensor | None:
         """Return the observations (n, num_obs) of goals that n clips reach, or None.
 
+        With None a warm start has random goals, which it learns to ignore.
+
         `root_states` (n, T, 13) are the clips' root states at the T times `look_ahead_s` after the
         observed time.
         """
@@ -116,6 +118,10 @@ class Goal(Stateful):
 
     def errors(self) -> dict[str, Tensor]:
         """Return errors (N,) of the last step by names with units. Evaluations report means."""
+        return {}
+
+    def successes(self) -> dict[str, Tensor]:
+        """Return by name how far the running episodes (N,) succeeded (0 to 1)."""
         return {}
 
     def on_key(self, key: str) -> None:
@@ -184,6 +190,50 @@ class TimedGoal(Goal):
     def draw(self, env_ids: Tensor) -> None:
         """Draw goals for `env_ids` (n,)."""
         raise NotImplementedError
+
+
+class PointGoal(TimedGoal):
+    """A timed goal that is reached where the character comes near a point.
+
+    Its success is the share of an episode's points that were reached, with the unfinished last one.
+    """
+
+    reached_m: ClassVar[float]
+    """A point is reached within this distance."""
+
+    def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
+        """Run the base method, and allocate the counts of points and of reached points."""
+        super().attach(simulation, dt_s)
+        n, device = simulation.num_envs, simulation.device
+        self._is_reached = torch.zeros(n, dtype=torch.bool, device=device)
+        self._num_reached = torch.zeros(n, device=device)
+        self._num_points = torch.zeros(n, device=device)
+
+    def reset(self, env_ids: Tensor) -> None:
+        """Clear the counts of the previous episode, and run the base method."""
+        self._num_reached.index_fill_(0, env_ids, 0.0)
+        self._num_points.index_fill_(0, env_ids, 0.0)
+        super().reset(env_ids)
+
+    def _redraw(self, env_ids: Tensor, progress: Tensor) -> None:
+        super()._redraw(env_ids, progress)
+        self._is_reached.index_fill_(0, env_ids, False)
+        self._num_points[env_ids] += 1.0
+
+    def after_step(self) -> None:
+        """Count the points that are reached in this step for the first time."""
+        super().after_step()
+        is_near = self.distances() < self.reached_m
+        self._num_reached += is_near & ~self._is_reached
+        self._is_reached |= is_near
+
+    def distances(self) -> Tensor:
+        """Return the distances (N,) m from the points."""
+        raise NotImplementedError
+
+    def successes(self) -> dict[str, Tensor]:
+        """Return the shares (N,) of points that were reached."""
+        return {"reached": self._num_reached / self._num_points.clamp(min=1.0)}
 
 
 def check_range(low_key: str, low: float, high_key: str, high: float, *, equal: bool) -> None:

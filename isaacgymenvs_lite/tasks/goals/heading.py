@@ -14,14 +14,21 @@ from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, TimedGoal, check_range
 from isaacgymenvs_lite.tasks.goals.planar import (
+    facing,
     facing_reward,
     planar_velocity,
     xy_in_heading_frame,
 )
+from isaacgymenvs_lite.utils.rotations import normalize
 
 _VELOCITY_SCALE = 0.25
 _TANGENT_SHARE = 0.1
 _DIRECTION_WEIGHT, _FACING_WEIGHT = 0.7, 0.3
+# A character is on course within these errors. Its velocity is averaged over about half a stride,
+# because the root sways.
+_ON_COURSE_M_S, _ON_COURSE_COS, _AVERAGE_S = 0.25, math.cos(math.radians(20.0)), 0.5
+# A clip that is slower than this in the next second is taken to walk where it faces.
+_LEAST_TRAVEL_M_S = 0.2
 
 
 def compute_heading_observations(
@@ -76,6 +83,7 @@ class HeadingSettings(GoalSettings):
     change_steps_min: int = setting(100, key="headingChangeStepsMin", minimum=1)
     change_steps_max: int = setting(200, key="headingChangeStepsMax", minimum=2)
     enable_rand_heading: bool = setting(True, key="enableRandHeading")
+    clip_share: float = setting(0.0, key="clipCommandShare", minimum=0, maximum=1)
 
 
 class Heading(TimedGoal):
@@ -84,6 +92,7 @@ class Heading(TimedGoal):
     num_obs = 5
     settings_class = HeadingSettings
     change_steps_keys = ("headingChangeStepsMin", "headingChangeStepsMax")
+    look_ahead_s = (0.0, 0.2, 0.4, 0.6, 0.8)
     settings: HeadingSettings
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
@@ -95,6 +104,29 @@ class Heading(TimedGoal):
         self.tar_speed = torch.ones(n, device=device)
         self.tar_dir = torch.tensor([1.0, 0.0], device=device).repeat(n, 1)
         self.tar_face_dir = self.tar_dir.clone()
+        self._mean_vel_w = torch.zeros(n, 2, device=device)
+        self._steps_on_course = torch.zeros(n, device=device)
+        self._num_steps = torch.zeros(n, device=device)
+
+    def reset(self, env_ids: Tensor) -> None:
+        """Run the base method, and clear the time on course."""
+        super().reset(env_ids)
+        self._mean_vel_w[env_ids] = self.root_states(env_ids)[:, 7:9]
+        self._steps_on_course.index_fill_(0, env_ids, 0.0)
+        self._num_steps.index_fill_(0, env_ids, 0.0)
+
+    def after_step(self) -> None:
+        """Count the steps in which the character is on course."""
+        root = self.root_states()
+        self._mean_vel_w += (self.dt_s / _AVERAGE_S) * (root[:, 7:9] - self._mean_vel_w)
+        error = self._mean_vel_w - self.tar_speed.unsqueeze(-1) * self.tar_dir
+        faces = facing_reward(root[:, 3:7], self.tar_face_dir) > _ON_COURSE_COS
+        self._steps_on_course += faces & (torch.linalg.vector_norm(error, dim=-1) < _ON_COURSE_M_S)
+        self._num_steps += 1.0
+
+    def successes(self) -> dict[str, Tensor]:
+        """Return the shares (N,) of the time within 0.25 m/s and 20 degrees of the goal."""
+        return {"on_course": self._steps_on_course / self._num_steps.clamp(min=1.0)}
 
     def draw(self, env_ids: Tensor) -> None:
         """Draw directions and speeds for `env_ids` (n,)."""
@@ -105,6 +137,36 @@ class Heading(TimedGoal):
             directions.index_copy_(0, env_ids, torch.stack((angle.cos(), angle.sin()), dim=-1))
         speed = uniform(env_ids, cfg.tar_speed_min, cfg.tar_speed_max)
         self.tar_speed.index_copy_(0, env_ids, speed)
+
+    def observe_clip(self, root_states: Tensor) -> Tensor:
+        """Return observations (n, 5) of the goals that n clips reach."""
+        return compute_heading_observations(root_states[:, 0], *self._goals_of_clip(root_states))
+
+    def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
+        """Use what the clip does in the next second as the goal of some random episodes.
+
+        A policy that can already walk forward does not find out otherwise that walking backward or
+        aside earns more where it is asked to face another way.
+        """
+        if self.settings.clip_share == 0:
+            return
+        follows = torch.rand(len(env_ids), device=env_ids.device) < self.settings.clip_share
+        own = (self.tar_dir, self.tar_speed, self.tar_face_dir)
+        for values, rows in zip(own, self._goals_of_clip(root_states[follows]), strict=True):
+            values.index_copy_(0, env_ids[follows], rows)
+
+    def _goals_of_clip(self, root_states: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return directions (n, 2), speeds (n,) and facing directions (n, 2) of n clips.
+
+        The clips' speeds are clamped to the range of the goals.
+        """
+        face_dir = facing(root_states[:, -1, 3:7])
+        travel = root_states[:, :, 7:9].mean(1)
+        speed = torch.linalg.vector_norm(travel, dim=-1)
+        is_slow = (speed < _LEAST_TRAVEL_M_S).unsqueeze(-1)
+        tar_dir = torch.where(is_slow, face_dir, normalize(travel))
+        tar_speed = speed.clamp(self.settings.tar_speed_min, self.settings.tar_speed_max)
+        return tar_dir, tar_speed, face_dir
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
         """See `compute_heading_observations`."""

@@ -12,7 +12,7 @@ from isaacgymenvs_lite.rendering.markers import GO_COLOUR, Marker, Sphere
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.base.random_values import uniform
-from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, TimedGoal
+from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, PointGoal
 from isaacgymenvs_lite.tasks.goals.planar import (
     facing_reward,
     planar_velocity,
@@ -23,6 +23,8 @@ from isaacgymenvs_lite.utils.rotations import normalize
 
 _POSITION_SCALE, _SPEED_SCALE = 0.5, 4.0
 _POSITION_WEIGHT, _SPEED_WEIGHT, _FACING_WEIGHT = 0.5, 0.4, 0.1
+# The warm start's points are where a clip is after this time, or up to so many times farther away.
+_AHEAD_S, _FARTHER = 2.0, 4.0
 _NEAR_M2 = 0.5  # squared distance of a reached point
 
 
@@ -68,10 +70,12 @@ class LocationSettings(GoalSettings):
     tar_dist_max: float = setting(10.0, key="tarDistMax", above=0)  # m
 
 
-class Location(TimedGoal):
+class Location(PointGoal):
     """The goal `location`."""
 
     num_obs = 2
+    reached_m = 0.5
+    look_ahead_s = (0.0, _AHEAD_S)
     settings_class = LocationSettings
     settings: LocationSettings
 
@@ -85,6 +89,12 @@ class Location(TimedGoal):
         reach = self.settings.tar_dist_max
         offset = uniform(env_ids, -reach, reach, (2,))
         self.tar_pos.index_copy_(0, env_ids, self.root_states(env_ids)[:, :2] + offset)
+
+    def observe_clip(self, root_states: Tensor) -> Tensor:
+        """Return observations (n, 2) of points towards which n clips travel."""
+        start, end = root_states[:, 0], root_states[:, -1, :2]
+        farther = uniform(start[:, 0], 1.0, _FARTHER, (1,))
+        return compute_location_observations(start, start[:, :2] + farther * (end - start[:, :2]))
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
         """See `compute_location_observations`."""
@@ -102,6 +112,10 @@ class Location(TimedGoal):
             self.settings.tar_speed,
             self.dt_s,
         )
+
+    def distances(self) -> Tensor:
+        """Return the distances (N,) m of the points from the roots along the ground."""
+        return torch.linalg.vector_norm(self.tar_pos - self.root_states()[:, :2], dim=-1)
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
         """Return a marker at the point, and an arrow to find a point outside of the picture."""

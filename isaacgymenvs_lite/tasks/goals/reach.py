@@ -12,7 +12,7 @@ from isaacgymenvs_lite.rendering.markers import GO_COLOUR, Marker, Sphere
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.base.random_values import uniform
-from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, TimedGoal, check_range
+from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, PointGoal, check_range
 from isaacgymenvs_lite.tasks.goals.planar import in_heading_frame
 
 _DISTANCE_SCALE = 4.0
@@ -46,10 +46,11 @@ class ReachSettings(GoalSettings):
     reach_obs_relative: bool = setting(False, key="reachObsRelative")
 
 
-class Reach(TimedGoal):
+class Reach(PointGoal):
     """The goal `reach`."""
 
     num_obs = 3
+    reached_m = 0.2
     settings_class = ReachSettings
     settings: ReachSettings
 
@@ -84,6 +85,11 @@ class Reach(TimedGoal):
     def reward(self) -> Tensor:
         """See `compute_reach_reward`."""
         return compute_reach_reward(self.simulation.body_pos[:, self._body], self.tar_pos)
+
+    def distances(self) -> Tensor:
+        """Return the distances (N,) m of the points from the body."""
+        offsets = self.tar_pos - self.simulation.body_pos[:, self._body]
+        return torch.linalg.vector_norm(offsets, dim=-1)
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
         """Return a sphere at the point."""

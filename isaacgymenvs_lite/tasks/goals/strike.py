@@ -148,6 +148,11 @@ class Strike(Goal):
             target[:, :3], target[:, 3:7], root[:, :3], self.prev_root_pos_w, self.dt_s
         )
 
+    def successes(self) -> dict[str, Tensor]:
+        """Return which boxes (N,) fell."""
+        upright = quat_to_tan_norm(self._target_states()[:, 3:7])[:, 5]
+        return {"box_fell": (upright < _FALLEN_COS).float()}
+
     def failures(self, contact_body_ids: Tensor) -> Tensor:
         """See `compute_strike_failures`."""
         return compute_strike_failures(

@@ -13,6 +13,7 @@ from isaacgymenvs_lite.tasks.goals.heading import (
     compute_heading_reward,
 )
 from isaacgymenvs_lite.tasks.goals.location import compute_location_reward
+from isaacgymenvs_lite.tasks.goals.planar import facing
 from isaacgymenvs_lite.tasks.goals.strike import compute_strike_reward
 
 DT = 1.0 / 30.0
@@ -108,7 +109,95 @@ def test_the_reward_uses_the_way_of_the_whole_control_step(make_ase) -> None:
             assert rewards.unique().numel() > 1
 
 
-# --- settings ---------------------------------------------------------------------------------
+# --- goals of clips ---------------------------------------------------------------------------
+
+
+def test_a_start_in_a_clip_may_go_on_as_the_clip(make_ase) -> None:
+    torch.manual_seed(0)
+    words = {"goal": "heading", "stateInit": "Random", "motion_file": "walk_backward.npz"}
+    for share in (1.0, 0.5):
+        task = make_ase(64, **words, clipCommandShare=share)
+        task.reset_done()
+        ahead = facing(task.simulation.root_states[:, 3:7])
+        goes_back = (ahead * task.goal.tar_dir).sum(-1) < -0.9
+        looks_ahead = (ahead * task.goal.tar_face_dir).sum(-1) > 0.9
+        # Random goals do so by chance, with a probability of 0.14 each.
+        assert (goes_back & looks_ahead).float().mean() == pytest.approx(share, abs=0.2)
+        assert (task.goal.tar_speed >= 1.5).all()
+
+
+def test_the_goals_of_a_warm_start_are_those_of_the_clips(make_ase) -> None:
+    torch.manual_seed(0)
+    back = make_ase(4, goal="heading", motion_file="walk_backward.npz").fetch_tracking_demo(50)
+    # Direction to go, speed, direction to face; the hips rotate by some degrees.
+    expected = torch.tensor([-1.0, 0.0, 1.5, 1.0, 0.0]).expand(50, 5)
+    torch.testing.assert_close(back.obs[:, -5:], expected, rtol=0.0, atol=0.25)
+    points = make_ase(4, goal="location", motion_file="walk_slow.npz").fetch_tracking_demo(50)
+    forward, left = points.obs[:, -2:].unbind(-1)
+    # The walk has 0.74 m/s, and the clip may end before two seconds are over.
+    assert (forward <= 4 * 2 * 0.9).all()
+    assert 1.0 < forward.median() < 5.0
+    assert (left.abs() <= 0.2 * forward.clamp(min=0.5)).all()
+    # Clips do not show where a box is, so that the boxes of the warm start are anywhere.
+    boxes = make_ase(4, goal="strike").fetch_tracking_demo(50)
+    assert boxes.obs[:, -15:].unique(dim=0).shape[0] == 4
+
+
+# --- successes --------------------------------------------------------------------------------
+
+
+def test_on_course_is_a_share_of_the_time(make_ase) -> None:
+    task = make_ase(4, goal="heading", stateInit="Default")
+    task.reset_done()
+    goal, east = task.goal, torch.tensor([1.0, 0.0])
+    goal.tar_dir[:], goal.tar_face_dir[:], goal.tar_speed[:] = east, east, 1.5
+    speeds = torch.tensor([1.5, 1.3, 1.2, 1.5])
+    turns = torch.tensor([0.0, 0.3, 0.0, 0.4])  # rad; 20 degrees are 0.35 rad
+    root = task.simulation.root_states.clone()
+    root[:, 5], root[:, 6], root[:, 7] = (turns / 2).sin(), (turns / 2).cos(), speeds
+    root[:, 8:] = 0.0
+    rows = torch.arange(4)
+    task.simulation.write_state(rows, root, *(torch.zeros(4, task.num_actions) for _ in "pv"))
+    goal._mean_vel_w[:] = root[:, 7:9]
+    goal.after_step()
+    assert task.episode_successes()["on_course"].tolist() == [1.0, 1.0, 0.0, 0.0]
+    goal.tar_dir[0] = -east
+    for _ in range(3):
+        goal.after_step()
+    assert task.episode_successes()["on_course"].tolist() == [0.25, 1.0, 0.0, 0.0]
+
+
+def test_reached_is_a_share_of_the_points(make_ase) -> None:
+    for name, reached_m in [("location", 0.5), ("reach", 0.2)]:
+        task = make_ase(3, goal=name, stateInit="Default")
+        task.reset_done()
+        goal, sim = task.goal, task.simulation
+        hand = sim.body_names.index("right_hand")
+        here = sim.root_states[:, :2] if name == "location" else sim.body_pos[:, hand]
+        for near in ([True, True, False], [True, False, False]):
+            goal.tar_pos[:] = here
+            goal.tar_pos[:, 0] += reached_m * torch.tensor([0.9 if x else 1.1 for x in near])
+            for _ in range(2):  # a point that is reached twice counts once
+                goal.after_step()
+            found = task.episode_successes()["reached"]
+            goal.before_step(goal.change_steps)  # draws the next point
+        assert found.tolist() == [1.0, 0.5, 0.0]
+
+
+def test_a_box_that_lies_has_fallen(make_ase) -> None:
+    task = make_ase(2, goal="strike")
+    task.reset_done()
+    states = task.simulation.object_states.clone()
+    states[1, 0, 3:7] = torch.tensor([0.5**0.5, 0.0, 0.0, 0.5**0.5])
+    task.simulation.write_object_states(torch.arange(2), torch.tensor([0]), states)
+    assert task.episode_successes()["box_fell"].tolist() == [0.0, 1.0]
+
+
+def test_successes_reach_the_infos(make_ase) -> None:
+    for goal, name in [("heading", "on_course"), ("reach", "reached"), ("strike", "box_fell")]:
+        task = make_ase(2, goal=goal)
+        task.reset_done()
+        assert list(_random_step(task)[3]["successes"]) == [name]
 
 
 # --- where points are -------------------------------------------------------------------------
