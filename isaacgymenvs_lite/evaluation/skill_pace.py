@@ -16,7 +16,7 @@ from isaacgymenvs_lite.utils.rotations import calc_heading, rotate_about_z
 _STARTS_S = 2.0
 """Characters have this time to begin the motion."""
 _MOVING_M_S = 0.3
-"""A clip travels or turns if its pace is at least this far from standing."""
+"""A clip travels or turns from this pace on."""
 
 
 class Pace(NamedTuple):
@@ -91,16 +91,19 @@ class PaceProbe:
         self._steps += counts
 
     def result(self) -> ClipPaces | None:
-        """Return the paces, or None if no episode was long enough."""
+        """Return the paces, or None if no episode was long enough.
+
+        The pace is nan for a clip with only short episodes, so that it is not followed.
+        """
+        if self._steps.sum() == 0:
+            return None
         clips, shown = {}, {}
         for clip in self._clip_of_env.unique().tolist():
             rows = self._clip_of_env == clip
-            steps = self._steps[rows].sum()
-            if steps > 0:
-                name = self._names[clip]
-                shown[name] = Pace(*(self._sum[rows].sum(0) / steps).tolist())
-                clips[name] = self._pace_of_clip(clip)
-        return ClipPaces(clips, shown) if clips else None
+            name = self._names[clip]
+            shown[name] = Pace(*(self._sum[rows].sum(0) / self._steps[rows].sum()).tolist())
+            clips[name] = self._pace_of_clip(clip)
+        return ClipPaces(clips, shown)
 
     def _pace_of_clip(self, clip: int) -> Pace:
         lib = self._env.motion_lib

@@ -46,10 +46,11 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
         current_latents: (N, Z) latents in the last control step.
         skills: the skills that `run` measured, or None before `run`, if all episodes were too
             short, or if the task is no `ClipWindowsEnv`.
-        paces: the paces that `run` measured, or None if no latents of clips are fixed.
+        paces: the paces that `run` measured, or None before `run`, if no clip's latent is fixed, or
+            if no episode was longer than two seconds.
 
     Raises:
-        ConfigError: `latent` has none of these forms, or the file's latents have another dimension.
+        ConfigError: `latent` has none of these forms, or the file's latents cannot be used.
     """
 
     _latent_dim = ReadOnly("_amp.latent_dim")
@@ -132,7 +133,7 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
             log.info("skills: %s", self.skills)
         if self._pace_probe is not None:
             self.paces = self._pace_probe.result()
-            log.info("%s", self.paces)
+            log.info("%s", self.paces or "no pace: no episode was longer than two seconds")
 
     def _post_step(self, info: dict[str, Any]) -> None:
         super()._post_step(info)

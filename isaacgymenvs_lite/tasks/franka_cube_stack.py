@@ -2,7 +2,7 @@
 
 Published task files keep the published rewards. This project's task file has others:
 
-- A stacked cube pays 1000 and not 16, since it ends the episode, and holding cube A above cube B
+- A stacked cube pays 4000 and not 16, since it ends the episode, and holding cube A above cube B
   otherwise earns more.
 - `shapingRewardScale` pays for grasping, carrying and releasing. The published rewards lead a
   closed gripper to the side of cube A, pay nothing before the cube is 6.5 cm higher, then pay the

@@ -94,7 +94,8 @@ class Goal(Stateful):
     def observe_clip(self, root_states: Tensor) -> Tensor | None:
         """Return the observations (n, num_obs) of goals that n clips reach, or None.
 
-        With None a warm start has random goals, which it learns to ignore.
+        With None a warm start has random goals, and the policy learns to follow the clips whatever
+        the goal is.
 
         `root_states` (n, T, 13) are the clips' root states at the T times `look_ahead_s` after the
         observed time.
@@ -193,9 +194,10 @@ class TimedGoal(Goal):
 
 
 class PointGoal(TimedGoal):
-    """A timed goal that is reached where the character comes near a point.
+    """A timed goal that is reached when the character comes near a point.
 
-    Its success is the share of an episode's points that were reached, with the unfinished last one.
+    Its success is the share of an episode's points that were reached. The last point counts, too,
+    although its time is cut short.
     """
 
     reached_m: ClassVar[float]

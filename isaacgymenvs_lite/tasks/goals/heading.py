@@ -139,14 +139,14 @@ class Heading(TimedGoal):
         self.tar_speed.index_copy_(0, env_ids, speed)
 
     def observe_clip(self, root_states: Tensor) -> Tensor:
-        """Return observations (n, 5) of the goals that n clips reach."""
+        """Return observations (n, 5) of goals with the directions of n clips."""
         return compute_heading_observations(root_states[:, 0], *self._goals_of_clip(root_states))
 
     def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
-        """Use what the clip does in the next second as the goal of some random episodes.
+        """Replace the goals of a share `clip_share` of the episodes by the clips' directions.
 
-        A policy that can already walk forward does not find out otherwise that walking backward or
-        aside earns more where it is asked to face another way.
+        Otherwise a policy that walks forward never tries to walk backward or aside, although this
+        earns more if it is asked to face another way.
         """
         if self.settings.clip_share == 0:
             return
