@@ -85,7 +85,7 @@ class Goal(Stateful):
         """Draw goals for new episodes of `env_ids` (n,), whose characters are already reset."""
 
     def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
-        """Adapt the goals that `reset` drew for `env_ids` (n,) to the clips of their start poses.
+        """Change the goals of episodes `env_ids` (n,) that start in clips, after `reset`.
 
         `root_states` (n, T, 13) are the clips' root states at the T times `look_ahead_s` after the
         start.
