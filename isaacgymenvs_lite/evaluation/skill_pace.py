@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.env_interface import ReferenceEnv
-from isaacgymenvs_lite.utils.rotations import calc_heading, rotate_about_z
+from isaacgymenvs_lite.utils.rotations import planar_motion
 
 _STARTS_S = 2.0
 """Characters have this time to begin the motion."""
@@ -87,7 +87,7 @@ class PaceProbe:
     def step(self) -> None:
         """Add the motion of a control step; call this before resets."""
         counts = (self._env.progress_buf > self._first_step).unsqueeze(-1)
-        self._sum += counts * _planar_motion(self._env.simulation.root_states)
+        self._sum += counts * planar_motion(self._env.simulation.root_states)
         self._steps += counts
 
     def result(self) -> ClipPaces | None:
@@ -111,11 +111,4 @@ class PaceProbe:
         ids = torch.full((len(times_s),), clip)
         pos, rot, _, vel, ang_vel, *_ = lib.get_motion_state(ids, times_s)
         root = torch.cat((pos, rot, vel, ang_vel), dim=-1)
-        return Pace(*_planar_motion(root).mean(0).tolist())
-
-
-def _planar_motion(root_states: Tensor) -> Tensor:
-    """Return forward and leftward velocity (m/s) and turn rate (rad/s), (n, 3)."""
-    heading = calc_heading(root_states[:, 3:7])
-    velocity = rotate_about_z(heading.cos(), -heading.sin(), root_states[:, 7:10])
-    return torch.cat((velocity[:, :2], root_states[:, 12:13]), dim=-1)
+        return Pace(*planar_motion(root).mean(0).tolist())

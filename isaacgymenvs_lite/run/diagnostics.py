@@ -188,7 +188,8 @@ class DiagnosticsObserver(AlgoObserver):
     # --- the rules ---------------------------------------------------------------------------
 
     def _no_reward(self) -> str | None:
-        has_goal = self.config.get("task_reward_w", 0.0) != 0
+        # A hierarchy has no discriminator of its own, and no `disc_coef`.
+        has_goal = self.config.get("task_reward_w", 0.0) != 0 and "disc_coef" in self.config
         if self.config.get("disc_reward_w", 1.0) == 0 or (self._policy_learns() and not has_goal):
             return None
         scale = float(self.config.get("disc_reward_scale", 1.0)) or 1.0
@@ -202,7 +203,7 @@ class DiagnosticsObserver(AlgoObserver):
                 f"the style reward has vanished: for {_millions(WINDOW_FRAMES)} frames it was"
                 f" {reward:.3f} a step, so the policy earns the task's reward in a way that no clip"
                 " shows; start again from clips that show how the goal is reached, with"
-                f" ++train.params.config.amp_obs_steps=2 and"
+                " ++train.params.config.amp_obs_steps=2 and"
                 f" {self._turn('disc_reward_w', 2.0)} (train=HumanoidHeadingAMP is an example)"
             )
         rate = "disc_learning_rate" if self.config.get("disc_learning_rate") else "learning_rate"

@@ -263,6 +263,17 @@ def _about_z(angle: Tensor) -> Tensor:
     return torch.stack((zero, zero, half.sin(), half.cos()), dim=-1)
 
 
+def planar_motion(root_states: Tensor) -> Tensor:
+    """Return (n, 3): forward velocity (m/s), velocity to the left (m/s), turn rate (rad/s).
+
+    The velocities are in the heading frame. `root_states` (n, 13) are position, rotation xyzw and
+    both velocities, in world axes.
+    """
+    heading = calc_heading(root_states[:, 3:7])
+    velocity = rotate_about_z(heading.cos(), -heading.sin(), root_states[:, 7:10])
+    return torch.cat((velocity[:, :2], root_states[:, 12:13]), dim=-1)
+
+
 def rotate_about_z(cos: Tensor, sin: Tensor, v: Tensor) -> Tensor:
     """Rotate vectors v (..., 3) about world z by an angle given as its cosine and sine (...).
 

@@ -182,10 +182,11 @@ def test_a_reward_that_is_gone_for_long():
 def test_a_goal_that_is_reached_without_style():
     """It hopped on one leg towards its goal (HumanoidHeading, ten steps in an AMP observation)."""
     hops = {"steps": 290.0, "falls": 0.02, "style": 0.003, "agent": 1.0, "demo": 1.0}
-    (_, warning), *_ = warnings_of(lambda _: hops, None, task_reward_w=0.5)
+    (_, warning), *_ = warnings_of(lambda _: hops, None, task_reward_w=0.5, disc_coef=5)
     assert "0.003 a step, so the policy earns the task's reward in a way that no clip" in warning
     assert "train.params.config.disc_reward_w=2 (now 1)" in warning
     assert warnings_of(lambda _: hops, None) == []
+    assert warnings_of(lambda _: hops, None, task_reward_w=0.9) == []  # a hierarchy
 
 
 def test_a_discriminator_that_always_wins_is_no_fault():

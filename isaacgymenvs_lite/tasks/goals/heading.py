@@ -27,7 +27,7 @@ _DIRECTION_WEIGHT, _FACING_WEIGHT = 0.7, 0.3
 # A character is on course within these errors. Its velocity is averaged over about half a stride,
 # because the root sways.
 _ON_COURSE_M_S, _ON_COURSE_COS, _AVERAGE_S = 0.25, math.cos(math.radians(20.0)), 0.5
-# A clip that is slower than this in the next second is taken to walk where it faces.
+# A clip that is slower than this while `look_ahead_s` lasts counts as walking where it faces.
 _LEAST_TRAVEL_M_S = 0.2
 
 

@@ -93,7 +93,7 @@ class Location(PointGoal):
     def observe_clip(self, root_states: Tensor) -> Tensor:
         """Return observations (n, 2) of points towards which n clips travel."""
         start, end = root_states[:, 0], root_states[:, -1, :2]
-        farther = uniform(start[:, 0], 1.0, _FARTHER, (1,))
+        farther = 1.0 + (_FARTHER - 1.0) * torch.rand(len(start), 1, device=start.device)
         return compute_location_observations(start, start[:, :2] + farther * (end - start[:, :2]))
 
     def observe(self, env_ids: Tensor | None) -> Tensor:

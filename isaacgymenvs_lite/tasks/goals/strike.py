@@ -61,6 +61,11 @@ def compute_strike_observations(root_states: Tensor, tar_states: Tensor) -> Tens
     )
 
 
+def upright_cos(rot: Tensor) -> Tensor:
+    """Return the cosines (n,) of the tilts of rotations (n, 4), xyzw."""
+    return quat_to_tan_norm(rot)[:, 5]  # height of the z axis
+
+
 def compute_strike_reward(
     tar_pos: Tensor, tar_rot: Tensor, root_pos: Tensor, prev_root_pos: Tensor, dt: float
 ) -> Tensor:
@@ -68,7 +73,7 @@ def compute_strike_reward(
 
     Positions (n, 3) are in m, `tar_rot` (n, 4) is xyzw, and `dt` (s) is the duration of the step.
     """
-    upright = quat_to_tan_norm(tar_rot)[:, 5]  # height of its z axis
+    upright = upright_cos(tar_rot)
     direction = normalize(tar_pos[:, :2] - root_pos[:, :2], eps=1e-12)
     speed = (direction * planar_velocity(root_pos, prev_root_pos, dt)).sum(-1)
     tilt = (1.0 - upright).clamp(min=0.0)
@@ -150,8 +155,7 @@ class Strike(Goal):
 
     def successes(self) -> dict[str, Tensor]:
         """Return which boxes (N,) fell."""
-        upright = quat_to_tan_norm(self._target_states()[:, 3:7])[:, 5]
-        return {"box_fell": (upright < _FALLEN_COS).float()}
+        return {"box_fell": (upright_cos(self._target_states()[:, 3:7]) < _FALLEN_COS).float()}
 
     def failures(self, contact_body_ids: Tensor) -> Tensor:
         """See `compute_strike_failures`."""

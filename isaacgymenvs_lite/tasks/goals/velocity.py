@@ -24,7 +24,8 @@ from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.velocity_tracking import CommandRangesConfig, tracking_kernels
 from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, TimedGoal
-from isaacgymenvs_lite.tasks.goals.planar import facing, turned, xy_in_heading_frame
+from isaacgymenvs_lite.tasks.goals.planar import facing, turned
+from isaacgymenvs_lite.utils.rotations import planar_motion
 
 log = logging.getLogger(__name__)
 
@@ -45,15 +46,15 @@ _COMMANDED_HEIGHT_M, _ACTUAL_HEIGHT_M = 0.03, 0.15
 
 
 def compute_planar_motion(root_states: Tensor, forward_yaw_rad: float = 0.0) -> Tensor:
-    """Return (n, 3): forward velocity (m/s), velocity to the left (m/s), turn rate (rad/s).
+    """Return `planar_motion` (n, 3) of `root_states` (n, 13), whose forward direction is turned.
 
-    `root_states` (n, 13) are in world axes. The forward direction is the root's heading rotated
-    about z by `forward_yaw_rad`.
+    The forward direction is the root's heading rotated about z by `forward_yaw_rad`.
     """
-    velocity = xy_in_heading_frame(root_states[:, 3:7], root_states[:, 7:9])
-    if forward_yaw_rad:
-        velocity = turned(math.cos(forward_yaw_rad), -math.sin(forward_yaw_rad), velocity)
-    return torch.cat((velocity, root_states[:, 12:13]), dim=-1)
+    motion = planar_motion(root_states)
+    if not forward_yaw_rad:
+        return motion
+    velocity = turned(math.cos(forward_yaw_rad), -math.sin(forward_yaw_rad), motion[:, :2])
+    return torch.cat((velocity, motion[:, 2:]), dim=-1)
 
 
 @dataclass(frozen=True, kw_only=True)
