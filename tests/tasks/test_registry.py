@@ -72,15 +72,19 @@ def package(tmp_path: Path) -> Path:
     entries = ["[isaacgymenvs_lite.tasks]"]
     swing_up, _script, dribble = _code_of_guide("python")
     yaml_blocks = iter(_code_of_guide("yaml"))
+    for group in ("task", "train"):
+        (tmp_path / "cfg" / group).mkdir(parents=True)
     for task, module, code in (
         ("SwingUp", "swing_up", swing_up),
         ("RobotDribble", "dribble", dribble),
+        ("HumanoidDribble", "dribble", dribble),
     ):
         (site / "pendulum_tasks" / f"{module}.py").write_text(code)
         entries.append(f"{task} = pendulum_tasks.{module}:{task}")
-        for group, name in (("task", task), ("train", f"{task}PPO")):
-            (tmp_path / "cfg" / group).mkdir(parents=True, exist_ok=True)
-            (tmp_path / "cfg" / group / f"{name}.yaml").write_text(next(yaml_blocks))
+        (tmp_path / "cfg" / "task" / f"{task}.yaml").write_text(next(yaml_blocks))
+        train_file = next(yaml_blocks, None)  # HumanoidDribble has none of its own
+        if train_file is not None:
+            (tmp_path / "cfg" / "train" / f"{task}PPO.yaml").write_text(train_file)
     (info / "entry_points.txt").write_text("\n".join(entries) + "\n")
     return tmp_path
 
@@ -110,6 +114,16 @@ def test_the_guides_goal_trains_as_an_external_package(package: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert list(package.glob("runs/RobotDribble_*/nn/RobotDribble.pth"))
     assert re.search(r"ball_speed_error_m_s \d\.\d+", done.stdout + done.stderr)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("train", ["HumanoidHeadingAMP", "HumanoidASEHRLPPO"])
+def test_the_guides_goal_trains_on_the_humanoid_both_ways(package: Path, train: str) -> None:
+    words = ["--config-dir", str(package / "cfg"), "task=HumanoidDribble", f"train={train}"]
+    words += ["num_envs=16", "num_threads=1", "max_iterations=1", "experiment=dribble"]
+    done = _train(package, *words, "train.params.config.minibatch_size=128")
+    assert done.returncode == 0, done.stderr
+    assert list(package.glob("runs/dribble_*/nn/dribble.pth"))
 
 
 @pytest.mark.slow

@@ -32,7 +32,7 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
 from isaacgymenvs_lite.tasks.base.vec_task import Done, RobotDescription, RobotState
 from isaacgymenvs_lite.tasks.goals.boxes import damp_objects
-from isaacgymenvs_lite.tasks.goals.goal import Goal
+from isaacgymenvs_lite.tasks.goals.goal import ClipsAhead, Goal
 
 log = logging.getLogger(__name__)
 
@@ -362,8 +362,8 @@ class HumanoidAMP(HumanoidAMPBase):
         if obs is None:
             return None
         if with_goal and self.goal.num_task_obs > 0:
-            roots_ahead = motions.roots_ahead(motion_ids, times, self.goal.look_ahead_s)
-            goal = self.goal.observe_clip(roots_ahead)
+            ahead = motions.ahead(motion_ids, times, self.goal.look_ahead_s)
+            goal = self.goal.observe_clips(self._clips_ahead(*ahead))
             if goal is None:  # the actor learns to follow the clips whatever the goal is
                 self.goal.reset(torch.arange(self.num_envs, device=self.device))
                 drawn = self.goal.observe(None)
@@ -401,7 +401,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self._reference_env_ids = reference_ids
         if len(reference_ids) > 0:
             starts = self._starts.next(reference_ids)
-            root_states, dof_pos, dof_vel, self._reference_history, self._roots_ahead = starts
+            root_states, dof_pos, dof_vel, self._reference_history, *ahead = starts
             if self.motion_lib.num_motions() == 1:
                 self.keep_to_clips(reference_ids)
             self.simulation.write_state(reference_ids, root_states, dof_pos, dof_vel)
@@ -409,7 +409,11 @@ class HumanoidAMP(HumanoidAMPBase):
             self._write_default_pose(default_ids)
         self.goal.reset(env_ids)
         if len(reference_ids) > 0:
-            self.goal.start_in_clip(reference_ids, self._roots_ahead)
+            self.goal.start_in_clips(reference_ids, self._clips_ahead(*ahead))
+
+    def _clips_ahead(self, root_states: Tensor, key_pos: Tensor) -> ClipsAhead:
+        bodies = zip(self.key_body_names(), key_pos.unbind(2), strict=False)  # none without times
+        return ClipsAhead(root_states, dict(bodies))
 
     def robot_description(self) -> RobotDescription:
         """Run the base method, and use the start of the first clip if episodes start in clips."""

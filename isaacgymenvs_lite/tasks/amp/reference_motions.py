@@ -104,13 +104,20 @@ class ReferenceMotions:
         before = self._features((root[n:], dof_pos[n:], dof_vel[n:], key_pos[n:]))
         return before.view(len(self._steps) - 1, n, -1).transpose(0, 1)
 
-    def roots_ahead(self, motion_ids: Tensor, times: Tensor, ahead_s: Sequence[float]) -> Tensor:
-        """Return root states (n, T, 13) of motions (n,) at T times `ahead_s` after times (n,) s."""
+    def ahead(
+        self, motion_ids: Tensor, times: Tensor, ahead_s: Sequence[float]
+    ) -> tuple[Tensor, Tensor]:
+        """Return root states (n, T, 13) and positions (n, T, K, 3) m of the K key bodies.
+
+        The T moments of motions (n,) are `ahead_s` after times (n,) s.
+        """
         if not ahead_s:
-            return torch.zeros(len(motion_ids), 0, 13, device=times.device)
+            return times.new_zeros(len(times), 0, 13), times.new_zeros(len(times), 0, 0, 3)
         later = -torch.tensor(ahead_s, device=times.device) / self._dt_s
-        roots = self.states(motion_ids, times, later)[0]
-        return roots.view(len(ahead_s), len(motion_ids), 13).transpose(0, 1)
+        root, _, _, key_pos = self.states(motion_ids, times, later)
+        shape = (len(ahead_s), len(motion_ids))
+        root = root.view(*shape, 13).transpose(0, 1)
+        return root, key_pos.view(*shape, *key_pos.shape[1:]).transpose(0, 1)
 
 
 class AdaptiveStarts(Stateful):
@@ -227,7 +234,8 @@ class ClipStarts(Stateful):
 
         Returns:
             Root states (n, 13), DOF positions and velocities (n, D), AMP features of the previous
-            steps (n, steps - 1, ...), and the root states that the goal needs (n, T, 13).
+            steps (n, steps - 1, ...), and the root states (n, T, 13) and key body positions
+            (n, T, K, 3) m that the goal needs.
         """
         n = len(env_ids)
         if n > self._block:
@@ -250,9 +258,9 @@ class ClipStarts(Stateful):
         motion_ids, times = self._draw_moments(n)
         states = motions.states(motion_ids, times, self._steps)
         history = motions.histories(states, n)
-        ahead = motions.roots_ahead(motion_ids, times, self._ahead_s)
+        ahead = motions.ahead(motion_ids, times, self._ahead_s)
         root, dof_pos, dof_vel, _ = states
-        return root[:n], dof_pos[:n], dof_vel[:n], history, ahead, motion_ids, times
+        return root[:n], dof_pos[:n], dof_vel[:n], history, *ahead, motion_ids, times
 
     def _draw_moments(self, n: int) -> tuple[Tensor, Tensor]:
         lib = self._motions.lib

@@ -20,7 +20,16 @@ from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     pd_action_offset_scale,
 )
 from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
-from isaacgymenvs_lite.tasks.goals import GOAL_NAMES, GOALS, Goal, goal_keys
+from isaacgymenvs_lite.tasks.goals import (
+    GOAL_NAMES,
+    GOALS,
+    Goal,
+    Heading,
+    Location,
+    Reach,
+    Strike,
+    goal_keys,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,11 +62,12 @@ class GetupConfig(HumanoidASEConfig):
 
 
 def read_ase_config(
-    env: dict[str, Any], cls: type[HumanoidASEConfig] = HumanoidASEConfig
+    env: dict[str, Any], cls: type[HumanoidASEConfig] = HumanoidASEConfig, goal: type[Goal] = Goal
 ) -> HumanoidASEConfig:
-    """Check and return the keys of `task.env`, except the goal's keys."""
+    """Check and return the keys of `task.env`, except the keys of goals."""
     getup = keys_of(GetupConfig) - keys_of(cls)
-    return read_section(cls, env, "task.env", ignored=(*UNREAD_ENV_KEYS, *goal_keys(), *getup))
+    ignored = (*UNREAD_ENV_KEYS, *goal_keys(), *goal.keys(), *getup)
+    return read_section(cls, env, "task.env", ignored=ignored)
 
 
 # This file has ASE's drives, and `amp_humanoid.xml` has IsaacGymEnvs' drives.
@@ -85,6 +95,8 @@ def copy_drives(source: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
 class HumanoidASE(HumanoidAMP):
     """HumanoidAMP with the conventions of the ASE release and with a goal.
 
+    The key `task.env.goal` names the goal. A subclass with a `goal_class` has only this goal.
+
     HumanoidASE differs from HumanoidAMP in these points:
 
     - The policy observes all bodies and the goal.
@@ -98,20 +110,19 @@ class HumanoidASE(HumanoidAMP):
     amp_obs_as_ase = True
     num_dofs_of_assets = (28, 31)
     settings_class: ClassVar[type[HumanoidASEConfig]] = HumanoidASEConfig
-    goal_name: ClassVar[str] = ""
-    """Name of the goal if the task allows only one goal."""
-
     env_cfg: HumanoidASEConfig
 
     def read_settings(self, env: dict[str, Any]) -> HumanoidASEConfig:
         """Check `task.env` and create the goal. Raise ConfigError for the goal of another task."""
-        config = read_ase_config(env, self.settings_class)
-        if self.goal_name and env.get("goal", self.goal_name) != self.goal_name:
+        config = read_ase_config(env, self.settings_class, self.goal_class)
+        own = next((name for name, goal in GOALS.items() if goal is self.goal_class), None)
+        if own not in (None, "none", env.get("goal", own)):
             raise ConfigError(
                 f"task.env.goal={config.goal}: {type(self).__name__} requires the goal"
-                f" '{self.goal_name}'; use task=HumanoidASE for other goals"
+                f" '{own}'; use task=HumanoidASE for other goals"
             )
-        self.goal: Goal = GOALS[self.goal_name or config.goal](env)
+        goal_class = GOALS[config.goal] if self.goal_class is Goal else self.goal_class
+        self.goal = goal_class(env)
         return config
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
@@ -176,22 +187,22 @@ class HumanoidASE(HumanoidAMP):
 class HumanoidHeading(HumanoidASE):
     """HumanoidASE with the goal `heading`."""
 
-    goal_name = "heading"
+    goal_class = Heading
 
 
 class HumanoidLocation(HumanoidASE):
     """HumanoidASE with the goal `location`."""
 
-    goal_name = "location"
+    goal_class = Location
 
 
 class HumanoidReach(HumanoidASE):
     """HumanoidASE with the goal `reach`."""
 
-    goal_name = "reach"
+    goal_class = Reach
 
 
 class HumanoidStrike(HumanoidASE):
     """HumanoidASE with the goal `strike`."""
 
-    goal_name = "strike"
+    goal_class = Strike

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import mujoco
 import torch
@@ -23,6 +23,24 @@ class GoalSettings:
     """Keys of `task.env` that every goal reads."""
 
     enable_task_obs: bool = setting(True, key="enableTaskObs")
+    clip_share: float = setting(0.0, key="clipCommandShare", minimum=0, maximum=1)
+
+
+class ClipsAhead(NamedTuple):
+    """What n clips do at the T times `Goal.look_ahead_s` after a moment.
+
+    Attributes:
+        root_states: (n, T, 13).
+        body_pos_w: name of a key body -> positions (n, T, 3) m.
+    """
+
+    root_states: Tensor
+    body_pos_w: Mapping[str, Tensor]
+
+    def rows(self, chosen: Tensor) -> ClipsAhead:
+        """Return the rows of a mask (n,)."""
+        body_pos_w = {name: pos[chosen] for name, pos in self.body_pos_w.items()}
+        return ClipsAhead(self.root_states[chosen], body_pos_w)
 
 
 class Goal(Stateful):
@@ -55,7 +73,7 @@ class Goal(Stateful):
     key_help: ClassVar[str] = ""
     """Help text about the keys of `on_key`, empty if the goal has no keys."""
     look_ahead_s: ClassVar[tuple[float, ...]] = ()
-    """`start_in_clip` receives the root states at these times (s) after the start in a clip."""
+    """`follow_clips` receives what the clips do at these times (s) after the start."""
     settings_class: ClassVar[type[GoalSettings]] = GoalSettings
 
     def __init__(self, env: Mapping[str, Any]) -> None:
@@ -84,21 +102,25 @@ class Goal(Stateful):
     def reset(self, env_ids: Tensor) -> None:
         """Draw goals for new episodes of `env_ids` (n,), whose characters are already reset."""
 
-    def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
-        """Change the goals of episodes `env_ids` (n,) that start in clips, after `reset`.
+    def start_in_clips(self, env_ids: Tensor, ahead: ClipsAhead) -> None:
+        """Give a share `clip_share` of episodes `env_ids` (n,), which start in clips, new goals.
 
-        `root_states` (n, T, 13) are the clips' root states at the T times `look_ahead_s` after the
-        start.
+        The clips reach these goals (`follow_clips`). A policy that gets only random goals may never
+        try what earns more than its habits.
         """
+        if self.settings.clip_share == 0:
+            return
+        follows = torch.rand(len(env_ids), device=env_ids.device) < self.settings.clip_share
+        self.follow_clips(env_ids[follows], ahead.rows(follows))
 
-    def observe_clip(self, root_states: Tensor) -> Tensor | None:
+    def follow_clips(self, env_ids: Tensor, ahead: ClipsAhead) -> None:
+        """Give episodes `env_ids` (n,), which start in clips, goals that the clips reach."""
+
+    def observe_clips(self, ahead: ClipsAhead) -> Tensor | None:
         """Return the observations (n, num_obs) of goals that n clips reach, or None.
 
         With None a warm start has random goals, and the policy learns to follow the clips whatever
         the goal is.
-
-        `root_states` (n, T, 13) are the clips' root states at the T times `look_ahead_s` after the
-        observed time.
         """
         return None
 

@@ -12,7 +12,7 @@ from isaacgymenvs_lite.rendering.markers import FACE_COLOUR, GO_COLOUR, Marker
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.base.random_values import uniform
-from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, TimedGoal, check_range
+from isaacgymenvs_lite.tasks.goals.goal import ClipsAhead, GoalSettings, TimedGoal, check_range
 from isaacgymenvs_lite.tasks.goals.planar import (
     facing,
     facing_reward,
@@ -83,7 +83,6 @@ class HeadingSettings(GoalSettings):
     change_steps_min: int = setting(100, key="headingChangeStepsMin", minimum=1)
     change_steps_max: int = setting(200, key="headingChangeStepsMax", minimum=2)
     enable_rand_heading: bool = setting(True, key="enableRandHeading")
-    clip_share: float = setting(0.0, key="clipCommandShare", minimum=0, maximum=1)
 
 
 class Heading(TimedGoal):
@@ -138,24 +137,22 @@ class Heading(TimedGoal):
         speed = uniform(env_ids, cfg.tar_speed_min, cfg.tar_speed_max)
         self.tar_speed.index_copy_(0, env_ids, speed)
 
-    def observe_clip(self, root_states: Tensor) -> Tensor:
+    def observe_clips(self, ahead: ClipsAhead) -> Tensor:
         """Return observations (n, 5) of goals with the directions of n clips."""
-        return compute_heading_observations(root_states[:, 0], *self._goals_of_clip(root_states))
+        roots = ahead.root_states
+        return compute_heading_observations(roots[:, 0], *self._goals_of_clips(roots))
 
-    def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
-        """Replace the goals of a share `clip_share` of the episodes by the clips' directions.
+    def follow_clips(self, env_ids: Tensor, ahead: ClipsAhead) -> None:
+        """Ask for the directions in which the clips travel and face.
 
         Otherwise a policy that walks forward never tries to walk backward or aside, although this
         earns more if it is asked to face another way.
         """
-        if self.settings.clip_share == 0:
-            return
-        follows = torch.rand(len(env_ids), device=env_ids.device) < self.settings.clip_share
         own = (self.tar_dir, self.tar_speed, self.tar_face_dir)
-        for values, rows in zip(own, self._goals_of_clip(root_states[follows]), strict=True):
-            values.index_copy_(0, env_ids[follows], rows)
+        for values, rows in zip(own, self._goals_of_clips(ahead.root_states), strict=True):
+            values.index_copy_(0, env_ids, rows)
 
-    def _goals_of_clip(self, root_states: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _goals_of_clips(self, root_states: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return directions (n, 2), speeds (n,) and facing directions (n, 2) of n clips.
 
         The clips' speeds are clamped to the range of the goals.

@@ -12,7 +12,7 @@ from isaacgymenvs_lite.rendering.markers import GO_COLOUR, Marker, Sphere
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.base.random_values import uniform
-from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, PointGoal
+from isaacgymenvs_lite.tasks.goals.goal import ClipsAhead, GoalSettings, PointGoal
 from isaacgymenvs_lite.tasks.goals.planar import (
     facing_reward,
     planar_velocity,
@@ -90,9 +90,9 @@ class Location(PointGoal):
         offset = uniform(env_ids, -reach, reach, (2,))
         self.tar_pos.index_copy_(0, env_ids, self.root_states(env_ids)[:, :2] + offset)
 
-    def observe_clip(self, root_states: Tensor) -> Tensor:
+    def observe_clips(self, ahead: ClipsAhead) -> Tensor:
         """Return observations (n, 2) of points towards which n clips travel."""
-        start, end = root_states[:, 0], root_states[:, -1, :2]
+        start, end = ahead.root_states[:, 0], ahead.root_states[:, -1, :2]
         farther = 1.0 + (_FARTHER - 1.0) * torch.rand(len(start), 1, device=start.device)
         return compute_location_observations(start, start[:, :2] + farther * (end - start[:, :2]))
 

@@ -12,7 +12,12 @@ from isaacgymenvs_lite.rendering.markers import GO_COLOUR, Marker, Sphere
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.base.random_values import uniform
-from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, PointGoal, check_range
+from isaacgymenvs_lite.tasks.goals.goal import (
+    ClipsAhead,
+    GoalSettings,
+    PointGoal,
+    check_range,
+)
 from isaacgymenvs_lite.tasks.goals.planar import in_heading_frame
 
 _DISTANCE_SCALE = 4.0
@@ -51,6 +56,7 @@ class Reach(PointGoal):
 
     num_obs = 3
     reached_m = 0.2
+    look_ahead_s = (0.0, 0.5, 0.75, 1.0, 1.25, 1.5)
     settings_class = ReachSettings
     settings: ReachSettings
 
@@ -65,19 +71,54 @@ class Reach(PointGoal):
         name = cfg.reach_body_name or next((body for body in _BODIES if body in names), "")
         if name not in names:
             raise ConfigError(unknown("task.env.reachBodyName", name, names))
-        self._body = names.index(name)
+        self._body, self._body_name = names.index(name), name
         self.tar_pos = torch.zeros(simulation.num_envs, 3, device=simulation.device)
+        self._centre_w = torch.zeros(simulation.num_envs, 2, device=simulation.device)
+
+    def reset(self, env_ids: Tensor) -> None:
+        """Run the base method, with points near the places where the episodes begin.
+
+        With `reachObsRelative: False` the policy observes world positions, and only points near the
+        origin tell it where they are.
+        """
+        if self.settings.reach_obs_relative:
+            self._centre_w.index_copy_(0, env_ids, self.root_states(env_ids)[:, :2])
+        super().reset(env_ids)
 
     def draw(self, env_ids: Tensor) -> None:
-        """Draw points near the origins of `env_ids` (n,)."""
+        """Draw points around the centres of `env_ids` (n,)."""
         cfg = self.settings
-        plane = uniform(env_ids, -cfg.tar_dist_max, cfg.tar_dist_max, (2,))
+        plane = self._centre_w[env_ids] + uniform(
+            env_ids, -cfg.tar_dist_max, cfg.tar_dist_max, (2,)
+        )
         height = uniform(env_ids, cfg.tar_height_min, cfg.tar_height_max, (1,))
         self.tar_pos.index_copy_(0, env_ids, torch.cat((plane, height), dim=-1))
 
+    def observe_clips(self, ahead: ClipsAhead) -> Tensor | None:
+        """Return observations (n, 3) of points that the body reaches in n clips."""
+        points = self._points_of_clips(ahead)
+        return None if points is None else self._observe(ahead.root_states[:, 0], points)
+
+    def follow_clips(self, env_ids: Tensor, ahead: ClipsAhead) -> None:
+        """Ask for points that the body reaches in the clips."""
+        points = self._points_of_clips(ahead)
+        if points is not None:
+            self.tar_pos.index_copy_(0, env_ids, points)
+
+    def _points_of_clips(self, ahead: ClipsAhead) -> Tensor | None:
+        """Return where (n, 3) the body is at random times ahead. None: it is no key body."""
+        positions = ahead.body_pos_w.get(self._body_name)
+        if positions is None:
+            return None
+        rows = torch.arange(len(positions), device=positions.device)
+        later = torch.randint(1, positions.shape[1], (len(positions),), device=positions.device)
+        return positions[rows, later]
+
     def observe(self, env_ids: Tensor | None) -> Tensor:
         """See `compute_reach_observations`."""
-        root, point = self.root_states(env_ids), self.rows(self.tar_pos, env_ids)
+        return self._observe(self.root_states(env_ids), self.rows(self.tar_pos, env_ids))
+
+    def _observe(self, root: Tensor, point: Tensor) -> Tensor:
         if self.settings.reach_obs_relative:
             point = torch.cat((point[:, :2] - root[:, :2], point[:, 2:]), dim=-1)
         return compute_reach_observations(root, point)

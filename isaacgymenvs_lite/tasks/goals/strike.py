@@ -14,7 +14,7 @@ from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.goals.boxes import add_box
-from isaacgymenvs_lite.tasks.goals.goal import Goal, GoalSettings
+from isaacgymenvs_lite.tasks.goals.goal import ClipsAhead, Goal, GoalSettings
 from isaacgymenvs_lite.tasks.goals.planar import (
     in_heading_frame,
     planar_velocity,
@@ -32,6 +32,9 @@ _TARGET_SIZE_M = (0.4, 0.4, 1.8)
 _TARGET_DENSITY = 30.0  # kg/m^3: 8.64 kg
 _TARGET_HEIGHT_M = 0.5 * _TARGET_SIZE_M[2]
 _DIST_MIN_M, _DIST_MAX_M, _NEAR_DIST_M, _NEAR_PROB = 0.5, 10.0, 1.5, 0.5
+# The centre of a box that suits a clip is this far behind the farthest point of the striking body.
+# At the start the box does not touch the character.
+_BEHIND_M, _CLEAR_M = 0.1, 0.6
 _STRIKE_BODIES = ("sword", "right_hand", "right_lower_arm")
 
 _SPEED_SCALE, _SPEED_M_S = 4.0, 1.0
@@ -104,6 +107,7 @@ class Strike(Goal):
     """The goal `strike`."""
 
     num_obs = 15
+    look_ahead_s = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
     settings_class = StrikeSettings
     settings: StrikeSettings
 
@@ -119,7 +123,8 @@ class Strike(Goal):
         for name in wanted:
             if name not in names:
                 raise ConfigError(unknown("body in task.env.strikeBodyNames:", name, names))
-        ids = [names.index(name) for name in wanted or _STRIKE_BODIES if name in names]
+        self._bodies = [name for name in wanted or _STRIKE_BODIES if name in names]
+        ids = [names.index(name) for name in self._bodies]
         self.strike_body_ids = torch.tensor(ids, dtype=torch.int64, device=simulation.device)
         self._target = simulation.object_names.index(TARGET_NAME)
 
@@ -129,11 +134,26 @@ class Strike(Goal):
         near = torch.rand(n, device=device) < _NEAR_PROB
         furthest = torch.full((n,), _DIST_MAX_M, device=device).masked_fill(near, _NEAR_DIST_M)
         distance = _DIST_MIN_M + torch.rand(n, device=device) * (furthest - _DIST_MIN_M)
-        bearing, half_turn = uniform(env_ids, 0.0, math.tau), uniform(env_ids, 0.0, math.pi)
-        states = torch.zeros(n, 13, device=device)
-        states[:, :2] = self.root_states(env_ids)[:, :2]
-        states[:, 0] += distance * bearing.cos()
-        states[:, 1] += distance * bearing.sin()
+        bearing = uniform(env_ids, 0.0, math.tau)
+        offset = distance.unsqueeze(-1) * torch.stack((bearing.cos(), bearing.sin()), dim=-1)
+        self._place(env_ids, offset)
+
+    def follow_clips(self, env_ids: Tensor, ahead: ClipsAhead) -> None:
+        """Place the boxes where the striking bodies go in the clips."""
+        name = next((body for body in self._bodies if body in ahead.body_pos_w), None)
+        if name is None:
+            return
+        offsets = ahead.body_pos_w[name][:, :, :2] - ahead.root_states[:, :1, :2]
+        distances, farthest = torch.linalg.vector_norm(offsets, dim=-1).max(dim=1)
+        offset = offsets[torch.arange(len(offsets), device=offsets.device), farthest]
+        away = (distances + _BEHIND_M).clamp(min=_CLEAR_M).unsqueeze(-1)
+        self._place(env_ids, away * normalize(offset))
+
+    def _place(self, env_ids: Tensor, offset: Tensor) -> None:
+        """Place the boxes upright, `offset` (n, 2) m from the characters, with random headings."""
+        half_turn, device = uniform(env_ids, 0.0, math.pi), env_ids.device
+        states = torch.zeros(len(env_ids), 13, device=device)
+        states[:, :2] = self.root_states(env_ids)[:, :2] + offset
         states[:, 2] = _TARGET_HEIGHT_M
         states[:, 5], states[:, 6] = half_turn.sin(), half_turn.cos()
         object_ids = torch.tensor([self._target], device=device)

@@ -23,7 +23,7 @@ from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.velocity_tracking import CommandRangesConfig, tracking_kernels
-from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, TimedGoal
+from isaacgymenvs_lite.tasks.goals.goal import ClipsAhead, GoalSettings, TimedGoal
 from isaacgymenvs_lite.tasks.goals.planar import facing, turned
 from isaacgymenvs_lite.utils.rotations import planar_motion
 
@@ -77,7 +77,6 @@ class VelocitySettings(GoalSettings):
     change_steps_max: int = setting(210, key="commandChangeStepsMax", minimum=2)
     standing_share: float = setting(0.15, key="standingShare", minimum=0, maximum=1)
     forward_yaw_rad: float = setting(0.0, key="forwardYaw", minimum=-math.pi, maximum=math.pi)
-    clip_share: float = setting(0.0, key="clipCommandShare", minimum=0, maximum=1)
     end_stalled: bool = setting(False, key="endStalled")
     lin_vel_xy_reward: float = setting(0.6, key="linearVelocityXYRewardScale", minimum=0)
     ang_vel_z_reward: float = setting(0.4, key="angularVelocityZRewardScale", minimum=0)
@@ -155,23 +154,20 @@ class Velocity(TimedGoal):
         self.commands.index_copy_(0, env_ids, commands)
         self._command_steps.index_fill_(0, env_ids, 0)
 
-    def observe_clip(self, root_states: Tensor) -> Tensor:
+    def observe_clips(self, ahead: ClipsAhead) -> Tensor:
         """Return clips' mean motion (n, 3) in the next second, clamped to the command ranges."""
+        root_states = ahead.root_states
         low, high = self._limits(root_states.device)
-        motion = self.planar_motion(root_states.flatten(0, 1)).view(len(root_states), -1, 3)
+        motion = self.planar_motion(root_states.flatten(0, 1)).view(*root_states.shape[:2], 3)
         return torch.minimum(torch.maximum(motion.mean(1), low), high)
 
-    def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
-        """Use the clip's mean velocity over the next second as the command of some random episodes.
+    def follow_clips(self, env_ids: Tensor, ahead: ClipsAhead) -> None:
+        """Use the clips' mean velocity over the next second as the command, unless a user steers.
 
         With random commands only, a policy that stands earns more than one that tries first steps.
         """
-        share = self.settings.clip_share
-        if share == 0 or self._steered is not None:
-            return
-        commands = self.observe_clip(root_states)
-        follows = torch.rand(len(env_ids), device=env_ids.device) < share
-        self.commands.index_copy_(0, env_ids[follows], commands[follows])
+        if self._steered is None:
+            self.commands.index_copy_(0, env_ids, self.observe_clips(ahead))
 
     def on_key(self, key: str) -> None:
         """Change the first environment's command by a key, and give all environments this command.

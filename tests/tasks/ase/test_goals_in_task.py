@@ -126,6 +126,42 @@ def test_a_start_in_a_clip_may_go_on_as_the_clip(make_ase) -> None:
         assert (task.goal.tar_speed >= 1.5).all()
 
 
+def test_points_and_boxes_are_where_the_hand_goes_in_the_clip(make_ase) -> None:
+    words = {"stateInit": "Start", "motion_file": "reach_forward.npz", "clipCommandShare": 1}
+    task = make_ase(32, goal="reach", **words)
+    task.reset_done()
+    clip = torch.zeros(32, dtype=torch.int64)
+    starts_s = torch.zeros(32)
+    hand_at = [
+        task.motion_lib.get_motion_state(clip, starts_s + later_s)[-1][:, 0]
+        for later_s in (0.5, 0.75, 1.0, 1.25, 1.5)
+    ]
+    missed = torch.stack([(task.goal.tar_pos - pos).norm(dim=-1) for pos in hand_at])
+    assert missed.min(0).values.max() < 1e-4
+    assert task.goal.tar_pos.unique(dim=0).shape[0] > 1
+
+    task = make_ase(32, goal="strike", **words)
+    task.reset_done()
+    root, box = task.simulation.root_states, task.simulation.object_states[:, 0]
+    offset = box[:, :2] - root[:, :2]
+    # The hand reaches 0.6 m ahead, and the box is at least so far away.
+    assert ((offset * facing(root[:, 3:7])).sum(-1) > 0.5).all()
+    assert offset.norm(dim=-1).max() < 1.0
+    assert _random_step(task)[2].sum() == 0  # no character touches the box
+
+
+def test_points_are_near_the_place_where_an_episode_begins(make_ase) -> None:
+    torch.manual_seed(0)
+    words = {"goal": "reach", "stateInit": "Random", "motion_file": "walk.npz", "tarDistMax": 0.5}
+    for relative in (True, False):
+        task = make_ase(64, **words, reachObsRelative=relative)
+        task.reset_done()
+        start_w = task.simulation.root_states[:, :2]
+        assert start_w.norm(dim=-1).max() > 1.0
+        centre = start_w if relative else torch.zeros(2)
+        assert (task.goal.tar_pos[:, :2] - centre).abs().max() <= 0.5
+
+
 def test_the_goals_of_a_warm_start_are_those_of_the_clips(make_ase) -> None:
     torch.manual_seed(0)
     back = make_ase(4, goal="heading", motion_file="walk_backward.npz").fetch_tracking_demo(50)
