@@ -23,7 +23,7 @@ from isaacgymenvs_lite.utils.rotations import normalize
 
 _POSITION_SCALE, _SPEED_SCALE = 0.5, 4.0
 _POSITION_WEIGHT, _SPEED_WEIGHT, _FACING_WEIGHT = 0.5, 0.4, 0.1
-# The warm start's points are where a clip is after this time, or up to so many times farther away.
+# Points of clips are where a clip is after this time, or up to so many times farther away.
 _AHEAD_S, _FARTHER = 2.0, 4.0
 _NEAR_M2 = 0.5  # squared distance of a reached point
 
@@ -92,9 +92,16 @@ class Location(PointGoal):
 
     def observe_clips(self, ahead: ClipsAhead) -> Tensor:
         """Return observations (n, 2) of points towards which n clips travel."""
-        start, end = ahead.root_states[:, 0], ahead.root_states[:, -1, :2]
+        return compute_location_observations(ahead.root_states[:, 0], self._points_of_clips(ahead))
+
+    def follow_clips(self, env_ids: Tensor, ahead: ClipsAhead) -> None:
+        """Ask for points towards which the clips travel."""
+        self.tar_pos.index_copy_(0, env_ids, self._points_of_clips(ahead))
+
+    def _points_of_clips(self, ahead: ClipsAhead) -> Tensor:
+        start, end = ahead.root_states[:, 0, :2], ahead.root_states[:, -1, :2]
         farther = 1.0 + (_FARTHER - 1.0) * torch.rand(len(start), 1, device=start.device)
-        return compute_location_observations(start, start[:, :2] + farther * (end - start[:, :2]))
+        return start + farther * (end - start)
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
         """See `compute_location_observations`."""

@@ -150,6 +150,19 @@ def test_points_and_boxes_are_where_the_hand_goes_in_the_clip(make_ase) -> None:
     assert _random_step(task)[2].sum() == 0  # no character touches the box
 
 
+def test_points_lie_where_the_clip_goes(make_ase) -> None:
+    torch.manual_seed(0)
+    words = {"stateInit": "Start", "motion_file": "walk_slow.npz", "clipCommandShare": 1}
+    task = make_ase(32, goal="location", **words)
+    task.reset_done()
+    root = task.simulation.root_states
+    offset = task.goal.tar_pos - root[:, :2]
+    distance = offset.norm(dim=-1)
+    # The walk has 0.74 m/s, and the points are two to eight seconds ahead.
+    assert 1.2 < distance.min() < distance.max() < 6.2
+    assert ((offset * facing(root[:, 3:7])).sum(-1) > 0.95 * distance).all()
+
+
 def test_points_are_near_the_place_where_an_episode_begins(make_ase) -> None:
     torch.manual_seed(0)
     words = {"goal": "reach", "stateInit": "Random", "motion_file": "walk.npz", "tarDistMax": 0.5}
