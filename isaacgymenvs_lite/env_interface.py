@@ -127,6 +127,24 @@ class ClipSkillEnv(SkillEnv, Protocol):
         ...
 
 
+class CommandedSkillEnv(ClipSkillEnv, Protocol):
+    """A task that rewards characters for the motion that the first entries of latents command.
+
+    A command is shorter than 1, because a latent is a unit vector.
+    """
+
+    num_skill_commands: int
+    """Number C of values in a command, 0 if the task takes no commands."""
+
+    def fetch_commanded_demos(self, num_samples: int) -> tuple[Tensor, Tensor]:
+        """Return AMP observations (n, F) of reference motions, and their commands (n, C)."""
+        ...
+
+    def command_skills(self, env_ids: Tensor, commands: Tensor) -> None:
+        """Give commands (n, C) to environments (n,)."""
+        ...
+
+
 class ClipKeepingEnv(ClipSkillEnv, Protocol):
     """A task that can end those episodes whose motion leaves their clip."""
 

@@ -121,11 +121,15 @@ class GenAMPParams(AMPParams):
     """New here: weight of the loss that makes the latents of two nearby times of a clip similar."""
     enc_uniformity_coef: float = setting(0.0, minimum=0)
     """New here: weight of the loss that spreads the latents of the clips over the sphere."""
+    enc_command_coef: float = setting(0.0, minimum=0)
+    """New here: weight of the loss that makes the first entries of the latents of clips commands:
+    velocity, turn rate and position of a hand. It needs `task.env.goal=skill`."""
 
     @property
     def encodes_clips(self) -> bool:
         """Whether one of the encoder's losses uses the clips."""
-        return self.enc_alignment_coef != 0.0 or self.enc_uniformity_coef != 0.0
+        coefs = (self.enc_alignment_coef, self.enc_uniformity_coef, self.enc_command_coef)
+        return any(coef != 0.0 for coef in coefs)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,8 +7,8 @@ similar to the policy's latent; different latents therefore become different ski
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Mapping
+from functools import cached_property, partial
 from typing import Any, ClassVar
 
 import torch
@@ -17,6 +17,7 @@ from torch import Tensor
 from isaacgymenvs_lite.env_interface import (
     ClipKeepingEnv,
     ClipSkillEnv,
+    CommandedSkillEnv,
     Env,
     SkillEnv,
     TrackingDemo,
@@ -39,6 +40,8 @@ from isaacgymenvs_lite.learning.warm_start import descend
 
 # Each random latent is compared with this many AMP observations of the clips.
 _NEIGHBOURS = 512
+# The encoder learns commands from so many AMP observations of clips.
+_COMMANDED_DEMOS = 20_000
 # Inputs of a conditional discriminator: latents of AMP observations from replay buffer and clips.
 _DISC_LATENTS = ("amp_obs_replay_latents", "amp_obs_demo_latents")
 
@@ -61,6 +64,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         "enc_loss": "losses/enc_loss",
         "enc_alignment_loss": "losses/enc_alignment_loss",
         "enc_uniformity_loss": "losses/enc_uniformity_loss",
+        "enc_command_loss": "losses/enc_command_loss",
         "amp_diversity_loss": "losses/amp_diversity_loss",
         "enc_reward_mean": "info/enc_reward_mean",
         "enc_reward_std": "info/enc_reward_std",
@@ -136,6 +140,16 @@ class GenAMPAgent(SkillRewards, AMPAgent):
                 "train.params.config: clip_latents, enc_alignment_coef, enc_uniformity_coef or"
                 " network.disc.conditional",
             )
+        self._commanding: CommandedSkillEnv | None = None
+        if self._amp.enc_command_coef > 0.0:
+            self._commanding = require(
+                self._env, CommandedSkillEnv, "train.params.config.enc_command_coef"
+            )
+            if not 0 < self._commanding.num_skill_commands <= self._amp.latent_dim:
+                raise ConfigError(
+                    "train.params.config.enc_command_coef: the task takes no commands; set"
+                    " task.env.goal=skill, or this key to 0"
+                )
         # The task compares an episode with its clip until the first latent of the episode changes.
         self._keeping: ClipKeepingEnv | None = None
         if self._amp.clip_latents > 0.0 and fits(self._clips, ClipKeepingEnv):
@@ -172,7 +186,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
             self.discriminator.normalizer.count_in(demo.amp_obs)
 
         def loss() -> Tensor:
-            terms = self._clip_encoding_losses(self._draw_demo_triples())
+            terms = self._clip_encoding_losses(self._draw_encoder_rows())
             return torch.stack([weight * value for weight, value in terms.values()]).sum()
 
         network = self.model.a2c_network
@@ -195,10 +209,12 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     def _restart_latents(self, env_ids: Tensor) -> None:
         if self._amp.clip_latents == 0.0 or len(env_ids) == 0:
             self.schedule.restart(env_ids)
+            self._command(env_ids)
             return
         amp_obs = self.discriminator.truncate(self._clips.amp_obs_of(env_ids))
         latents, of_starts = self._clip_latents.for_starts(amp_obs)
         self.schedule.restart(env_ids, latents)
+        self._command(env_ids)
         if self._keeping is not None:
             self._keeping.leave_clips(env_ids)
             self._keeping.keep_to_clips(env_ids[of_starts])
@@ -206,8 +222,15 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     def _update_latents(self) -> None:
         """Replace latents that change before this policy step."""
         changed = self.schedule.advance(self._progress())
+        self._command(changed)
         if self._keeping is not None:
             self._keeping.leave_clips(changed)
+
+    def _command(self, env_ids: Tensor) -> None:
+        """Tell the task what the latents of environments (n,) command."""
+        if self._commanding is not None and len(env_ids) > 0:
+            commands = self.schedule.latents[env_ids, : self._commanding.num_skill_commands]
+            self._commanding.command_skills(env_ids, commands)
 
     def _sample_latents(self, n: int) -> Tensor:
         """Return n random latents (n, Z), unit vectors."""
@@ -307,16 +330,34 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if self._enable_amp_diversity_bonus():
             rows["diversity_latents"] = self._sample_latents(len(minibatch["amp_latents"]))
         if self._amp.encodes_clips:
-            rows["demo_triples"] = self._draw_demo_triples()
+            rows |= self._draw_encoder_rows()
         return rows
 
-    def _draw_demo_triples(self) -> Tensor:
-        """Return normalised AMP observations (n, 3, F): two nearby times of a clip, one other."""
-        demos = self._amp_obs_demo_buffer.sample(max(1, self._amp_minibatch_size // 2))
+    def _draw_encoder_rows(self) -> dict[str, Tensor]:
+        """Return the normalised AMP observations from which the encoder learns.
+
+        "demo_triples" (n, 3, F) are two nearby times of a clip and one other, "commanded_demos"
+        (n, F) belong to "commands" (n, C).
+        """
+        num_rows = max(1, self._amp_minibatch_size // 2)
+        demos = self._amp_obs_demo_buffer.sample(num_rows)
         pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
         # The order is random, and the previous row is therefore a random other row.
         others = pairs[:, :1].roll(1, dims=0)
-        return self._preproc_amp_obs(torch.cat((pairs, others), dim=1))
+        rows = {"demo_triples": self._preproc_amp_obs(torch.cat((pairs, others), dim=1))}
+        if self._commanding is not None:
+            amp_obs, commands = self._commanded_demos
+            chosen = torch.randint(len(commands), (num_rows,), device=commands.device)
+            rows["commanded_demos"] = self._preproc_amp_obs(amp_obs[chosen])
+            rows["commands"] = commands[chosen]
+        return rows
+
+    @cached_property
+    def _commanded_demos(self) -> tuple[Tensor, Tensor]:
+        """AMP observations (K, F) of clips, with commands (K, C)."""
+        commanding = require(self._env, CommandedSkillEnv, "train.params.config.enc_command_coef")
+        amp_obs, commands = commanding.fetch_commanded_demos(_COMMANDED_DEMOS)
+        return self.discriminator.truncate(amp_obs), commands
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Any]:
         names = ("amp_latents", "amp_obs_latents", *_DISC_LATENTS)
@@ -336,7 +377,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         weights = {"enc_loss": self._amp.enc_coef}
         terms |= {name: (weights.get(name, 0.0), value) for name, value in info.items()}
         if "demo_triples" in input_dict:
-            terms |= self._clip_encoding_losses(input_dict["demo_triples"])
+            terms |= self._clip_encoding_losses(input_dict)
         if "diversity_latents" in input_dict:
             fresh = (input_dict["diversity_latents"],) if self._diversity_loss_takes_latents else ()
             loss = self._diversity_loss(batch["obs"], result["mus"], batch["amp_latents"], *fresh)
@@ -344,21 +385,28 @@ class GenAMPAgent(SkillRewards, AMPAgent):
             terms["amp_diversity_loss"] = (self._amp.amp_diversity_bonus, mean)
         return terms
 
-    def _clip_encoding_losses(self, triples: Tensor) -> LossTerms:
-        """Return the encoder's losses on clips, given the triples of `_draw_demo_triples`.
+    def _clip_encoding_losses(self, rows: Mapping[str, Tensor]) -> LossTerms:
+        """Return the encoder's losses on clips, given the rows of `_draw_encoder_rows`.
 
         The alignment loss makes the latents of two nearby times similar, and the uniformity loss
         spreads all latents over the sphere. See Wang and Isola 2020 (arXiv 2005.10242), eq. 1, and
-        eq. 2 without the logarithm.
+        eq. 2 without the logarithm. The command loss makes the first entries of latents commands.
         """
+        triples = rows["demo_triples"]
         found = self.model.a2c_network.eval_enc(triples.flatten(0, 1)).float()
         at, near, other = found.view(*triples.shape[:2], -1).unbind(dim=1)
         alignment = (at - near).square().sum(dim=-1).mean()
         uniformity = torch.exp(-2.0 * (at - other).square().sum(dim=-1)).mean()
-        return {
+        terms = {
             "enc_alignment_loss": (self._amp.enc_alignment_coef, alignment),
             "enc_uniformity_loss": (self._amp.enc_uniformity_coef, uniformity),
         }
+        if "commands" in rows:
+            latents = self.model.a2c_network.eval_enc(rows["commanded_demos"]).float()
+            missed = latents[:, : rows["commands"].shape[1]] - rows["commands"]
+            loss = missed.square().sum(dim=-1).mean()
+            terms["enc_command_loss"] = (self._amp.enc_command_coef, loss)
+        return terms
 
     def _enable_amp_diversity_bonus(self) -> bool:
         """Return whether there is a diversity loss."""

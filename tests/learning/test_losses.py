@@ -181,9 +181,26 @@ def test_alignment_and_uniformity_by_hand():
     )
     # squared distances to the near moments 0, 2, 4; to the others 0, 2, 4
     triples = torch.stack([torch.stack((x, other, other)) for other in (x, y, -x)])
-    terms = GenAMPAgent._clip_encoding_losses(agent, triples)
+    terms = GenAMPAgent._clip_encoding_losses(agent, {"demo_triples": triples})
     weight, alignment = terms["enc_alignment_loss"]
     assert (weight, alignment.item()) == (2.0, pytest.approx(2.0))
     weight, uniformity = terms["enc_uniformity_loss"]
     expected = (1.0 + math.exp(-4) + math.exp(-8)) / 3
     assert (weight, uniformity.item()) == (3.0, pytest.approx(expected))
+
+
+def test_the_first_entries_of_latents_become_commands():
+    agent: Any = SimpleNamespace(
+        model=SimpleNamespace(a2c_network=SimpleNamespace(eval_enc=lambda rows: rows)),
+        _amp=SimpleNamespace(
+            enc_alignment_coef=0.0, enc_uniformity_coef=0.0, enc_command_coef=20.0
+        ),
+    )
+    rows = {
+        "demo_triples": torch.zeros(2, 3, 3),
+        "commanded_demos": torch.tensor([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0]]),
+        "commands": torch.tensor([[0.3, 0.4], [0.0, 0.5]]),
+    }
+    weight, loss = GenAMPAgent._clip_encoding_losses(agent, rows)["enc_command_loss"]
+    # (0.3^2 + 0.4^2 + 0.5^2) / 2; the third entry of a latent is free
+    assert (weight, loss.item()) == (20.0, pytest.approx(0.25))

@@ -156,6 +156,7 @@ class HumanoidAMP(HumanoidAMPBase):
             self.goal.look_ahead_s,
             ends_with_clip=self._ending is not None,
         )
+        self.goal.key_bodies = self.key_body_names()
         self.goal.attach(self.simulation, self.control_dt_s)
 
     def _end_with_clip(self, phases: ClipPhases) -> None:
@@ -334,6 +335,23 @@ class HumanoidAMP(HumanoidAMPBase):
     def fetch_amp_obs_demo_pairs(self, num_samples: int, apart_s: float = 1.0) -> Tensor:
         """Draw pairs (n, 2, F) of AMP observations at most `apart_s` apart in one clip."""
         return self._motions.draw_pairs(num_samples, apart_s).to(self.rl_device)
+
+    @property
+    def num_skill_commands(self) -> int:
+        """Number C of values in a command (see `CommandedSkillEnv`)."""
+        return self.goal.num_commands
+
+    def fetch_commanded_demos(self, num_samples: int) -> tuple[Tensor, Tensor]:
+        """Draw AMP observations (n, F), and return them with the commands (n, C) of their clips."""
+        motion_ids, times = self._motions.draw_windows(num_samples)
+        ahead = self._motions.ahead(motion_ids, times, self.goal.look_ahead_s)
+        commands = self.goal.commands_of_clips(self._clips_ahead(*ahead))
+        amp_obs = self._motions.windows(motion_ids, times)
+        return amp_obs.to(self.rl_device), commands.to(self.rl_device)
+
+    def command_skills(self, env_ids: Tensor, commands: Tensor) -> None:
+        """Give commands (n, C) to characters (n,)."""
+        self.goal.command(env_ids.to(self.device), commands.to(self.device))
 
     def fetch_tracking_demo(self, num_samples: int, with_goal: bool = True) -> TrackingDemo | None:
         """Draw states from the clips, and return them with actions that continue the motion.

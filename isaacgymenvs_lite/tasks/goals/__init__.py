@@ -6,6 +6,7 @@ from isaacgymenvs_lite.tasks.goals.goal import Goal
 from isaacgymenvs_lite.tasks.goals.heading import Heading
 from isaacgymenvs_lite.tasks.goals.location import Location
 from isaacgymenvs_lite.tasks.goals.reach import Reach
+from isaacgymenvs_lite.tasks.goals.skill import Skill
 from isaacgymenvs_lite.tasks.goals.strike import Strike
 
 GOALS: dict[str, type[Goal]] = {
@@ -13,6 +14,7 @@ GOALS: dict[str, type[Goal]] = {
     "location": Location,
     "reach": Reach,
     "strike": Strike,
+    "skill": Skill,
     "none": Goal,
 }
 GOAL_NAMES = tuple(GOALS)

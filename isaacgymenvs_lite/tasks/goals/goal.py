@@ -60,6 +60,7 @@ class Goal(Stateful):
         simulation: the backend, set by `attach`.
         dt_s: duration of a control step (s).
         prev_root_pos_w: (N, 3) m, positions of the characters before the last control step.
+        key_bodies: names of the bodies whose positions in clips are known (`ClipsAhead`).
 
     Raises:
         ConfigError: a value is invalid.
@@ -74,12 +75,15 @@ class Goal(Stateful):
     """Help text about the keys of `on_key`, empty if the goal has no keys."""
     look_ahead_s: ClassVar[tuple[float, ...]] = ()
     """`follow_clips` receives what the clips do at these times (s) after the start."""
+    num_commands: int = 0
+    """Number C of values in a command of the agent (`CommandedSkillEnv`)."""
     settings_class: ClassVar[type[GoalSettings]] = GoalSettings
 
     def __init__(self, env: Mapping[str, Any]) -> None:
         given = {key: env[key] for key in self.keys() if env.get(key) is not None}
         self.settings: Any = read_section(self.settings_class, given, "task.env")
         self.num_task_obs = self.num_obs if self.settings.enable_task_obs else 0
+        self.key_bodies: tuple[str, ...] = ()
 
     @classmethod
     def keys(cls) -> frozenset[str]:
@@ -123,6 +127,14 @@ class Goal(Stateful):
         the goal is.
         """
         return None
+
+    def commands_of_clips(self, ahead: ClipsAhead) -> Tensor:
+        """Return the commands (n, C) that n clips carry out."""
+        raise NotImplementedError(f"{type(self).__name__} takes no commands")
+
+    def command(self, env_ids: Tensor, commands: Tensor) -> None:
+        """Give commands (n, C) of the agent to characters `env_ids` (n,)."""
+        raise NotImplementedError(f"{type(self).__name__} takes no commands")
 
     def before_step(self, progress: Tensor) -> None:
         """Prepare a control step of episodes that have lasted `progress` (N,) control steps."""

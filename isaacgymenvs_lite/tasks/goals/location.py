@@ -24,7 +24,7 @@ from isaacgymenvs_lite.utils.rotations import normalize
 _POSITION_SCALE, _SPEED_SCALE = 0.5, 4.0
 _POSITION_WEIGHT, _SPEED_WEIGHT, _FACING_WEIGHT = 0.5, 0.4, 0.1
 # Points of clips are where a clip is after this time, or up to so many times farther away.
-_AHEAD_S, _FARTHER = 2.0, 4.0
+_AHEAD_S, _FARTHER = 2.0, 2.0
 _NEAR_M2 = 0.5  # squared distance of a reached point
 
 

@@ -26,6 +26,7 @@ from isaacgymenvs_lite.tasks.base.velocity_tracking import CommandRangesConfig, 
 from isaacgymenvs_lite.tasks.goals.goal import ClipsAhead, GoalSettings, TimedGoal
 from isaacgymenvs_lite.tasks.goals.planar import facing, turned
 from isaacgymenvs_lite.utils.rotations import planar_motion
+from isaacgymenvs_lite.utils.state import Stateful
 
 log = logging.getLogger(__name__)
 
@@ -82,6 +83,38 @@ class VelocitySettings(GoalSettings):
     ang_vel_z_reward: float = setting(0.4, key="angularVelocityZRewardScale", minimum=0)
 
 
+class MeanShortfall(Stateful):
+    """The mean difference (N, C) between wanted and actual motion in the last `window_s` seconds.
+
+    `dt_s` is the duration of a control step.
+    """
+
+    def __init__(
+        self, num_envs: int, num_values: int, window_s: float, dt_s: float, device: torch.device
+    ) -> None:
+        # Differences in a ring buffer, and its number of valid rows.
+        steps = max(1, round(window_s / dt_s))
+        self._rows = torch.zeros(steps, num_envs, num_values, device=device)
+        self._next = 0
+        self._num_valid = torch.zeros(num_envs, dtype=torch.int64, device=device)
+
+    def clear(self, env_ids: Tensor) -> None:
+        """Forget the past of characters `env_ids` (n,)."""
+        self._rows.index_fill_(1, env_ids, 0.0)
+        self._num_valid.index_fill_(0, env_ids, 0)
+
+    def add(self, shortfall: Tensor) -> None:
+        """Store the differences (N, C) of a control step."""
+        self._rows[self._next] = shortfall
+        self._next = (self._next + 1) % len(self._rows)
+        self._num_valid += 1
+
+    def mean(self) -> Tensor:
+        """Return the mean differences (N, C)."""
+        count = self._num_valid.clamp(1, len(self._rows)).unsqueeze(-1)
+        return self._rows.sum(0) / count
+
+
 class Velocity(TimedGoal):
     """The goal `velocity`.
 
@@ -119,12 +152,8 @@ class Velocity(TimedGoal):
         n, device = simulation.num_envs, simulation.device
         self.commands = torch.zeros(n, 3, device=device)
         self._steered: list[float] | None = None  # the user's command
-        # Differences between commands and motions in a ring buffer, and its number of valid rows.
-        window = max(1, round(WINDOW_S / dt_s))
-        self._shortfalls = torch.zeros(window, n, 3, device=device)
-        self._next_row = 0
+        self._shortfall = MeanShortfall(n, 3, WINDOW_S, dt_s, device)
         self._command_steps = torch.zeros(n, dtype=torch.int64, device=device)
-        self._num_shortfalls = torch.zeros(n, dtype=torch.int64, device=device)
 
     def _limits(self, device: torch.device) -> tuple[Tensor, Tensor]:
         """Return the lowest and the highest command, (3,) each."""
@@ -138,8 +167,7 @@ class Velocity(TimedGoal):
     def reset(self, env_ids: Tensor) -> None:
         """Run the base method and clear the errors of the previous episode."""
         super().reset(env_ids)
-        self._shortfalls.index_fill_(1, env_ids, 0.0)
-        self._num_shortfalls.index_fill_(0, env_ids, 0)
+        self._shortfall.clear(env_ids)
 
     def draw(self, env_ids: Tensor) -> None:
         """Draw commands for `env_ids` (n,), or assign the command of a steering user."""
@@ -193,16 +221,8 @@ class Velocity(TimedGoal):
 
     def after_step(self) -> None:
         """Store the difference between the command and the motion of the step."""
-        shortfall = self.commands - self.planar_motion(self.root_states())
-        self._shortfalls[self._next_row] = shortfall
-        self._next_row = (self._next_row + 1) % len(self._shortfalls)
-        self._num_shortfalls += 1
+        self._shortfall.add(self.commands - self.planar_motion(self.root_states()))
         self._command_steps += 1
-
-    def _mean_shortfall(self) -> Tensor:
-        """Return the mean difference (N, 3) between command and motion in the last second."""
-        count = self._num_shortfalls.clamp(1, len(self._shortfalls)).unsqueeze(-1)
-        return self._shortfalls.sum(0) / count
 
     def failures(self, contact_body_ids: Tensor) -> Tensor | None:
         """Return which robots (N,) stall, or None if `endStalled` is False.
@@ -214,7 +234,7 @@ class Velocity(TimedGoal):
             return None
         commanded_m_s = torch.linalg.vector_norm(self.commands[:, :2], dim=-1)
         # This quotient is the missing share of the commanded distance.
-        missing = (self._mean_shortfall()[:, :2] * self.commands[:, :2]).sum(dim=-1)
+        missing = (self._shortfall.mean()[:, :2] * self.commands[:, :2]).sum(dim=-1)
         stalls = missing > (1.0 - _STALLED_SHARE) * commanded_m_s.square()
         had_time = self._command_steps * self.dt_s >= _TIME_TO_GO_S
         return stalls & had_time & (commanded_m_s > _LEAST_COMMAND_M_S)
@@ -225,7 +245,7 @@ class Velocity(TimedGoal):
 
     def reward(self) -> Terms:
         """Return the reward terms (N,) of the mean velocity and turn rate in the last second."""
-        shortfall = self._mean_shortfall().t()
+        shortfall = self._shortfall.mean().t()
         along, turning = tracking_kernels(shortfall[:2], shortfall[2])
         cfg = self.settings
         return {
@@ -235,7 +255,7 @@ class Velocity(TimedGoal):
 
     def errors(self) -> dict[str, Tensor]:
         """Return the errors (N,) of the mean velocity (m/s) and of the mean turn rate (rad/s)."""
-        mean = self._mean_shortfall()
+        mean = self._shortfall.mean()
         return {
             "velocity_error_m_s": torch.linalg.vector_norm(mean[:, :2], dim=-1),
             "turn_error_rad_s": mean[:, 2].abs(),

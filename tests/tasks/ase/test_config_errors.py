@@ -29,7 +29,7 @@ def message(make_ase):
 
 def test_a_goal_that_does_not_exist(message) -> None:
     assert message(goal="dance") == (
-        "task.env.goal: got 'dance', expected one of heading, location, reach, strike, none"
+        "task.env.goal: got 'dance', expected one of heading, location, reach, strike, skill, none"
     )
 
 

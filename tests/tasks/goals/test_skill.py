@@ -1,0 +1,68 @@
+"""The goal `skill`: commands that the first entries of latents issue."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from isaacgymenvs_lite.tasks.goals.planar import in_heading_frame
+from isaacgymenvs_lite.utils.rotations import planar_motion
+
+SCALES = torch.tensor([0.2, 0.6, 0.3, 0.6, 0.6, 0.6])
+
+
+def _commands(make_ase, clip: str) -> torch.Tensor:
+    task = make_ase(4, goal="skill", motion_file=clip, numAMPObsSteps=2)
+    amp_obs, commands = task.fetch_commanded_demos(200)
+    assert amp_obs.shape == (200, task.num_amp_obs)
+    assert commands.shape == (200, task.num_skill_commands)
+    return commands
+
+
+def test_commands_are_means_of_the_clip_over_a_second(make_ase) -> None:
+    torch.manual_seed(0)
+    # docs/shipped_clips.md: a backward walk of 0.94 m/s, and a turn in place of 110 degrees/s.
+    back = (_commands(make_ase, "walk_backward.npz") / SCALES).median(0).values
+    assert back[0].item() == pytest.approx(-0.94, abs=0.05)
+    assert back[1:3].abs().max() < 0.1
+    turn = (_commands(make_ase, "turn_left_fast.npz") / SCALES).median(0).values
+    assert turn[2].item() == pytest.approx(math.radians(110), abs=0.1)
+    # The right hand hangs at the right side, and is above the root when it reaches high.
+    assert back[4].item() == pytest.approx(-0.2, abs=0.08)
+    high = (_commands(make_ase, "reach_high.npz") / SCALES).max(0).values
+    assert high[5] > 0.7
+    # A latent is a unit vector, and has room for a command.
+    for clip in ("run.npz", "turn_left_fast.npz", "reach_high.npz"):
+        assert _commands(make_ase, clip).norm(dim=-1).max() < 0.8
+
+
+def test_the_reward_is_the_share_of_the_command_that_is_shown(make_ase) -> None:
+    torch.manual_seed(0)
+    task = make_ase(3, goal="skill", stateInit="Default")
+    task.reset_done()
+    # To stand with the hand at rest; to walk backward with the hand 0.3 m higher; to turn.
+    asked = torch.tensor([[0.0, 0.0, 0.0], [-0.9, 0.0, 0.0], [0.0, 0.0, 1.9]])
+    rest = torch.tensor([0.05, -0.25, -0.05])
+    hands = rest + torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 0.3], [0.0, 0.0, 9.0]])
+    task.command_skills(torch.arange(3), torch.cat((asked, hands), dim=-1) * SCALES)
+    sim, motions, places = task.simulation, [], []
+    for _ in range(5):
+        task.step(torch.zeros(3, task.num_actions))
+        root, hand = sim.root_states, sim.body_pos[:, sim.body_names.index("right_hand")]
+        motions.append(planar_motion(root))
+        places.append(in_heading_frame(root[:, 3:7], hand - root[:, :3]))
+    terms = task.goal.reward()
+    motion, place = torch.stack(motions).mean(0), torch.stack(places).mean(0)
+    metres = torch.tensor([1.0, 1.0, 1.0 / math.radians(100)])  # 100 degrees count as 1 m
+    missed, pace = ((rows * metres).norm(dim=-1) for rows in (asked - motion, asked))
+    expected = (1.0 - missed / pace.clamp(min=0.3)).clamp(min=0.0)
+    torch.testing.assert_close(terms["pace"], expected, rtol=0.0, atol=1e-3)
+    off = (hands - place).norm(dim=-1)
+    torch.testing.assert_close(
+        terms["hand"], 0.5 * (1.0 - off / 0.5).clamp(min=0.0), rtol=0.0, atol=1e-4
+    )
+    # A character that stands shows next to nothing of a walk, and no hand is 9 m above a root.
+    assert terms["pace"][1] < 0.2
+    assert terms["hand"][0] > terms["hand"][1] > terms["hand"][2] == 0.0
