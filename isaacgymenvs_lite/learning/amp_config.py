@@ -148,6 +148,9 @@ class HRLParams:
     """Weight of the low-level controller's style reward."""
     exploration_correlation: float = setting(0.0, minimum=0, maximum=0.99)
     """New here: correlation between the exploration noises of consecutive high-level steps."""
+    warm_start_steps: int = setting(0, minimum=0, maximum=100_000)
+    """New here: number of gradient steps before the first epoch that teach the mean action the
+    latents of clips, for goals that the clips reach."""
 
 
 AGENT_KEYS = frozenset((*keys_of(GenAMPParams), *keys_of(HRLParams), *UNREAD_KEYS))

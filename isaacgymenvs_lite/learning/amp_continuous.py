@@ -34,7 +34,7 @@ from isaacgymenvs_lite.learning.modules.discriminator import (
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.restoring import Parts
-from isaacgymenvs_lite.learning.warm_start import NUM_SAMPLES, actor_parameters, clone_actions
+from isaacgymenvs_lite.learning.warm_start import NUM_SAMPLES, clone_actions
 
 log = logging.getLogger(__name__)
 
@@ -56,11 +56,9 @@ class AMPAgent(StyleLosses, CommonAgent):
         params_class: dataclass of the agent's keys in addition to PPO's.
         env_contract: typing.Protocol that the task must fulfil.
         discriminator: network, normaliser and style reward.
-        frozen_until: last epoch in which the actor does not learn (`warm_start` sets it).
         staying_up: smoothed mean episode length, rescaled to 0..1.
     """
 
-    frozen_until = 0
     staying_up = 0.0
     stored = ("frozen_until", "staying_up")
     stored_buffers = ("_amp_obs_demo_buffer", "_amp_replay_buffer")
@@ -258,8 +256,6 @@ class AMPAgent(StyleLosses, CommonAgent):
         of_style = (self._amp.disc_reward_w * style.mean()).abs()
         self.collect({"style_share": of_style / (of_task + of_style).clamp(min=1e-8)})
         self._schedule_grad_penalty()
-        is_frozen = self.frozen_until > 0 and self.epoch_num <= self.frozen_until
-        self._frozen = actor_parameters(self.model.a2c_network) if is_frozen else []
         self._update_amp_demos()
         self._draw_disc_rows(batch_dict)
         super().prepare_dataset(batch_dict)

@@ -30,6 +30,7 @@ from isaacgymenvs_lite.learning.modules.running_mean_std import (
 )
 from isaacgymenvs_lite.learning.published_names import AGENT_NAMES, ExplainedNames
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards, leave_out_nccl
+from isaacgymenvs_lite.learning.warm_start import actor_parameters
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 LossTerms = dict[str, tuple[float, Tensor]]
@@ -51,6 +52,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         train_log: lists of scalars of the current epoch by name, with a value per minibatch or
             epoch.
         has_restored: whether a checkpoint has been loaded.
+        frozen_until: last epoch in which the actor does not learn (`warm_start` sets it).
 
     Raises:
         ConfigError: a key is not supported by this family of agents.
@@ -62,6 +64,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     unsupported_keys: ClassVar[tuple[str, ...]] = ("self_play_config",)
     control_steps_per_action = 1
     has_restored = False
+    frozen_until = 0
     stored_episodes = ("dataset",)
 
     # rl_games declares these attributes as None and sets them in its constructors.
@@ -438,6 +441,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
         """Normalise values and advantages, and fill the dataset."""
+        is_frozen = self.frozen_until > 0 and self.epoch_num <= self.frozen_until
+        self._frozen = actor_parameters(self.model.a2c_network) if is_frozen else []
         num_rows = current_group().smallest(self._enough_rows(len(batch_dict["returns"])))
         fit_datasets(self, num_rows)
         super().prepare_dataset(batch_dict)

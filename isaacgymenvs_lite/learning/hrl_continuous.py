@@ -5,6 +5,7 @@ Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXi
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
@@ -22,7 +23,15 @@ from isaacgymenvs_lite.checkpoints.llc_reference import (
 )
 from isaacgymenvs_lite.config.train_files import read_train_file
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
-from isaacgymenvs_lite.env_interface import Env, HierarchyEnv, diverged_in, failures, require
+from isaacgymenvs_lite.env_interface import (
+    Env,
+    HierarchyEnv,
+    TrackingDemo,
+    diverged_in,
+    failures,
+    goal_size,
+    require,
+)
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AGENT_KEYS, HRLParams, read_agent_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent, given_params
@@ -33,7 +42,10 @@ from isaacgymenvs_lite.learning.skills.low_level_policy import (
     LowLevelSizes,
     latents_of_actions,
 )
+from isaacgymenvs_lite.learning.warm_start import NUM_SAMPLES, clone_actions
 from isaacgymenvs_lite.utils.state import Stateful
+
+log = logging.getLogger(__name__)
 
 # A flat configuration takes omitted keys from this train file.
 _DEFAULTS = "HumanoidASEHRLPPO"
@@ -41,6 +53,8 @@ _DEFAULTS = "HumanoidASEHRLPPO"
 _PLAIN = (str, int, float, bool, dict, list, tuple, type(None))
 _ENV_NAME = "rlgpu"
 _NUM_ACTORS = 64
+# After a warm start only the critic learns in so many epochs; noise on the observations of clips.
+_FROZEN_EPOCHS, _CLIP_NOISE = 4, 0.1
 
 
 class OverLowLevel:
@@ -112,6 +126,7 @@ class HRLAgent(OverLowLevel, CommonAgent):
         "disc_reward_std": "info/disc_reward_std",
     }
 
+    stored = ("frozen_until",)
     stored_episodes = ("_noise",)
     unsupported_keys = (*CommonAgent.unsupported_keys, "central_value_config")
     _task_reward_w = ReadOnly("_hrl.task_reward_w")
@@ -164,6 +179,38 @@ class HRLAgent(OverLowLevel, CommonAgent):
         """Load a checkpoint, and warn if it was trained with another low-level controller."""
         super().set_full_state_weights(weights, set_epoch)
         warn_of_another_llc(weights, self.llc.reference, self._restored_from)
+
+    # --- warm start ------------------------------------------------------------------------
+
+    def _init_train(self) -> None:
+        super()._init_train()
+        if self._hrl.warm_start_steps > 0 and not self.has_restored:
+            self._warm_start()
+
+    def _warm_start(self) -> None:
+        """Teach the mean action to choose the latents of clips that reach the goal.
+
+        A goal is observed relative to the character. Therefore the goals and latents of clips also
+        go with the poses of other clips.
+        """
+        fetch = getattr(self._env, "fetch_tracking_demo", None)
+        demo = None if fetch is None else fetch(NUM_SAMPLES)
+        if demo is None or not self.model.a2c_network.separate:
+            log.info("no warm start: the task has no clips with the policy's observations")
+            return
+        obs, amp_obs = demo.obs.to(self.ppo_device), demo.amp_obs.to(self.ppo_device)
+        latents = self.llc.encoder.read(self.llc.discriminator.truncate(amp_obs))
+        others = torch.randperm(len(obs), device=obs.device)
+        goal_obs = obs[others, obs.shape[1] - goal_size(self._env) :]
+        mixed = torch.cat((obs[:, : obs.shape[1] - goal_obs.shape[1]], goal_obs), dim=-1)
+        demo = TrackingDemo(
+            torch.cat((obs, mixed)), torch.cat((latents, latents[others])), torch.empty(0)
+        )
+        normalizer = self.model.running_mean_std if self.normalize_input else None
+        steps = self._hrl.warm_start_steps
+        error = clone_actions(self.model, normalizer, demo, steps, _CLIP_NOISE)
+        self.frozen_until = _FROZEN_EPOCHS
+        log.info("warm start: %d steps on the latents of clips, error %.3f", steps, error)
 
     # --- rollout ---------------------------------------------------------------------------
 

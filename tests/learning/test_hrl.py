@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.learning.skills.low_level_policy import latents_of_actions
 from tests.learning.conftest import mean_actions
 from tests.learning.test_gen_amp import CONFIG, GEN_AMP, LATENT_DIM
 
@@ -95,6 +96,21 @@ def test_low_level_that_says_auto_computes_as_the_high_level(
     OmegaConf.save(train_file, file)
     agent = make_agent(*overrides(llc, f"{CONFIG}.mixed_precision=True"))
     assert agent.llc.model.a2c_network.executor.bfloat16 is expected
+
+
+def test_a_warm_start_teaches_the_latents_of_clips(llc, make_agent):
+    agent = make_agent(*overrides(llc, f"{CONFIG}.warm_start_steps=300"))
+    demo = agent._env.fetch_tracking_demo(500)
+    wanted = agent.llc.encoder.read(agent.llc.discriminator.truncate(demo.amp_obs))
+
+    def likeness() -> float:
+        chosen = latents_of_actions(mean_actions(agent, demo.obs))
+        return float((chosen * wanted).sum(-1).mean())
+
+    before = likeness()
+    agent.env_reset()  # the first reset comes after the warm start
+    assert likeness() > max(0.6, before + 0.3)
+    assert agent.frozen_until > 0  # the critic learns first
 
 
 def test_sizes_are_those_of_the_latent(agent, roll_out):

@@ -138,26 +138,43 @@ class Strike(Goal):
         offset = distance.unsqueeze(-1) * torch.stack((bearing.cos(), bearing.sin()), dim=-1)
         self._place(env_ids, offset)
 
+    def observe_clips(self, ahead: ClipsAhead) -> Tensor | None:
+        """Return observations (n, 15) of boxes where the striking bodies go in n clips."""
+        root, offset = ahead.root_states[:, 0], self._offsets_of_clips(ahead)
+        if offset is None:
+            return None
+        return compute_strike_observations(root, self._standing(root[:, :2] + offset))
+
     def follow_clips(self, env_ids: Tensor, ahead: ClipsAhead) -> None:
         """Place the boxes where the striking bodies go in the clips."""
+        offset = self._offsets_of_clips(ahead)
+        if offset is not None:
+            self._place(env_ids, offset)
+
+    def _offsets_of_clips(self, ahead: ClipsAhead) -> Tensor | None:
+        """Return offsets (n, 2) m of boxes from roots. None: no key body may strike."""
         name = next((body for body in self._bodies if body in ahead.body_pos_w), None)
         if name is None:
-            return
+            return None
         offsets = ahead.body_pos_w[name][:, :, :2] - ahead.root_states[:, :1, :2]
         distances, farthest = torch.linalg.vector_norm(offsets, dim=-1).max(dim=1)
         offset = offsets[torch.arange(len(offsets), device=offsets.device), farthest]
         away = (distances + _BEHIND_M).clamp(min=_CLEAR_M).unsqueeze(-1)
-        self._place(env_ids, away * normalize(offset))
+        return away * normalize(offset)
 
     def _place(self, env_ids: Tensor, offset: Tensor) -> None:
-        """Place the boxes upright, `offset` (n, 2) m from the characters, with random headings."""
-        half_turn, device = uniform(env_ids, 0.0, math.pi), env_ids.device
-        states = torch.zeros(len(env_ids), 13, device=device)
-        states[:, :2] = self.root_states(env_ids)[:, :2] + offset
-        states[:, 2] = _TARGET_HEIGHT_M
-        states[:, 5], states[:, 6] = half_turn.sin(), half_turn.cos()
-        object_ids = torch.tensor([self._target], device=device)
+        """Place the boxes `offset` (n, 2) m from the characters."""
+        states = self._standing(self.root_states(env_ids)[:, :2] + offset)
+        object_ids = torch.tensor([self._target], device=env_ids.device)
         self.simulation.write_object_states(env_ids, object_ids, states.unsqueeze(1))
+
+    def _standing(self, position_w: Tensor) -> Tensor:
+        """Return states (n, 13) of boxes that stand at positions (n, 2) m, with random headings."""
+        half_turn = math.pi * torch.rand(len(position_w), device=position_w.device)
+        states = torch.zeros(len(position_w), 13, device=position_w.device)
+        states[:, :2], states[:, 2] = position_w, _TARGET_HEIGHT_M
+        states[:, 5], states[:, 6] = half_turn.sin(), half_turn.cos()
+        return states
 
     def _target_states(self, env_ids: Tensor | None = None) -> Tensor:
         return self.rows(self.simulation.object_states[:, self._target], env_ids)

@@ -187,9 +187,16 @@ def test_the_goals_of_a_warm_start_are_those_of_the_clips(make_ase) -> None:
     assert (forward <= 4 * 2 * 0.9).all()
     assert 1.0 < forward.median() < 5.0
     assert (left.abs() <= 0.2 * forward.clamp(min=0.5)).all()
-    # Clips do not show where a box is, so that the boxes of the warm start are anywhere.
-    boxes = make_ase(4, goal="strike").fetch_tracking_demo(50)
-    assert boxes.obs[:, -15:].unique(dim=0).shape[0] == 4
+    reaches = {"motion_file": "reach_forward.npz", "reachObsRelative": True}
+    hands = make_ase(4, goal="reach", **reaches).fetch_tracking_demo(50).obs[:, -3:]
+    assert 0.4 < hands[:, 0].max() < 0.8  # m ahead of the root
+    assert (hands[:, 2] > 0.7).all()
+    boxes = make_ase(4, goal="strike", motion_file="reach_forward.npz").fetch_tracking_demo(50)
+    assert boxes.obs[:, -15].median() > 0.4  # m ahead; at the end of the clip the hand hangs down
+    assert boxes.obs[:, -15:-13].norm(dim=-1).min() > 0.59
+    # Clips do not show where the head of the character should be, so that the points are anywhere.
+    points = make_ase(4, goal="reach", reachBodyName="head").fetch_tracking_demo(50)
+    assert points.obs[:, -3:].unique(dim=0).shape[0] == 4
 
 
 # --- successes --------------------------------------------------------------------------------
