@@ -27,7 +27,7 @@ class GoalSettings:
 
 
 class ClipsAhead(NamedTuple):
-    """What n clips do at the T times `Goal.look_ahead_s` after a moment.
+    """What n clips do at the T times `Goal.look_ahead_s` from a moment.
 
     Attributes:
         root_states: (n, T, 13).
@@ -74,7 +74,7 @@ class Goal(Stateful):
     key_help: ClassVar[str] = ""
     """Help text about the keys of `on_key`, empty if the goal has no keys."""
     look_ahead_s: ClassVar[tuple[float, ...]] = ()
-    """`follow_clips` receives what the clips do at these times (s) after the start."""
+    """`ClipsAhead` has what the clips do at these times (s) from a moment, the past is negative."""
     num_commands: int = 0
     """Number C of values in a command of the agent (`CommandedSkillEnv`)."""
     settings_class: ClassVar[type[GoalSettings]] = GoalSettings
@@ -107,10 +107,10 @@ class Goal(Stateful):
         """Draw goals for new episodes of `env_ids` (n,), whose characters are already reset."""
 
     def start_in_clips(self, env_ids: Tensor, ahead: ClipsAhead) -> None:
-        """Give a share `clip_share` of episodes `env_ids` (n,), which start in clips, new goals.
+        """Replace the goals of a random share `clip_share` of episodes (n,), which start in clips.
 
-        The clips reach these goals (`follow_clips`). A policy that gets only random goals may never
-        try what earns more than its habits.
+        The clips reach the new goals (`follow_clips`). A policy that gets only random goals may
+        never try what earns more than its habits.
         """
         if self.settings.clip_share == 0:
             return

@@ -25,7 +25,7 @@ _POSITION_SCALE, _SPEED_SCALE = 0.5, 4.0
 _POSITION_WEIGHT, _SPEED_WEIGHT, _FACING_WEIGHT = 0.5, 0.4, 0.1
 # Points of clips are where a clip is after this time, or up to so many times farther away.
 _AHEAD_S, _FARTHER = 2.0, 2.0
-_NEAR_M2 = 0.5  # squared distance of a reached point
+_NEAR_M2 = 0.5  # within this squared distance the full reward for approach and facing is paid
 
 
 def compute_location_observations(root_states: Tensor, tar_pos: Tensor) -> Tensor:

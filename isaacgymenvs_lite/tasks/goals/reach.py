@@ -76,10 +76,10 @@ class Reach(PointGoal):
         self._centre_w = torch.zeros(simulation.num_envs, 2, device=simulation.device)
 
     def reset(self, env_ids: Tensor) -> None:
-        """Run the base method, with points near the places where the episodes begin.
+        """Run the base method, with points around the places where the episodes begin.
 
-        With `reachObsRelative: False` the policy observes world positions, and only points near the
-        origin tell it where they are.
+        With `reachObsRelative: False` the points are around the origin, because the policy does not
+        observe its own position in the world.
         """
         if self.settings.reach_obs_relative:
             self._centre_w.index_copy_(0, env_ids, self.root_states(env_ids)[:, :2])

@@ -80,14 +80,15 @@ class Skill(Goal):
         self._shortfall.add(self.commands - self._motion(self.root_states(), hand))
 
     def reward(self) -> Terms:
-        """Return the shares (N,) of the commanded pace, and of the way of the hand, that are shown.
+        """Return the rewards (N,) of the mean pace and hand position in the last second.
 
-        A character that stands gets nothing for its pace if it is commanded to move. In contrast to
-        a Gaussian kernel, each step towards the command earns more.
+        The reward of the pace is 1 - error / commanded pace, at least -1: 0 for a character that
+        stands and should move. The reward of the hand falls from 0.5 to 0 at an error of 0.5 m. In
+        contrast to a Gaussian kernel, each step towards a distant command earns more.
         """
         mean = self._shortfall.mean()
         missed_m_s, asked_m_s = _pace(mean), _pace(self.commands)
-        pace = (1.0 - missed_m_s / asked_m_s.clamp(min=_LEAST_PACE_M_S)).clamp(min=0.0)
+        pace = (1.0 - missed_m_s / asked_m_s.clamp(min=_LEAST_PACE_M_S)).clamp(min=-1.0)
         if self._hand is None:
             return {"pace": pace}
         missed_m = torch.linalg.vector_norm(mean[:, 3:], dim=-1)
