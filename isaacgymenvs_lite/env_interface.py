@@ -89,11 +89,13 @@ class TrackingDemo:
         obs: (n, O) observations.
         actions: (n, A) actions within +-1 with which the drives follow the clips.
         amp_obs: (n, F) AMP observations at the same times.
+        reaches_goal: whether the motions reach the goals in `obs`. Otherwise goals are random.
     """
 
     obs: Tensor
     actions: Tensor
     amp_obs: Tensor
+    reaches_goal: bool = False
 
 
 class TrackingEnv(AMPEnv, Protocol):

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.env_interface import ReferenceEnv
-from isaacgymenvs_lite.utils.rotations import planar_motion
+from isaacgymenvs_lite.utils.rotations import planar_motion, planar_speed
 
 _STARTS_S = 2.0
 """Characters have this time to begin the motion."""
@@ -32,9 +32,7 @@ class Pace(NamedTuple):
 
     def distance(self, other: Pace) -> float:
         """Return the difference in m/s; 100 degrees/s count as 1 m/s."""
-        turn = math.degrees(self.turn_rad_s - other.turn_rad_s) / 100.0
-        forward, left = self.forward_m_s - other.forward_m_s, self.left_m_s - other.left_m_s
-        return math.hypot(forward, left, turn)
+        return float(planar_speed(torch.tensor([self]) - torch.tensor([other])))
 
 
 _REST = Pace(0.0, 0.0, 0.0)

@@ -209,15 +209,14 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     def _restart_latents(self, env_ids: Tensor) -> None:
         if self._amp.clip_latents == 0.0 or len(env_ids) == 0:
             self.schedule.restart(env_ids)
-            self._command(env_ids)
-            return
-        amp_obs = self.discriminator.truncate(self._clips.amp_obs_of(env_ids))
-        latents, of_starts = self._clip_latents.for_starts(amp_obs)
-        self.schedule.restart(env_ids, latents)
+        else:
+            amp_obs = self.discriminator.truncate(self._clips.amp_obs_of(env_ids))
+            latents, of_starts = self._clip_latents.for_starts(amp_obs)
+            self.schedule.restart(env_ids, latents)
+            if self._keeping is not None:
+                self._keeping.leave_clips(env_ids)
+                self._keeping.keep_to_clips(env_ids[of_starts])
         self._command(env_ids)
-        if self._keeping is not None:
-            self._keeping.leave_clips(env_ids)
-            self._keeping.keep_to_clips(env_ids[of_starts])
 
     def _update_latents(self) -> None:
         """Replace latents that change before this policy step."""

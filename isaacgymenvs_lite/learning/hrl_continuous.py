@@ -195,8 +195,8 @@ class HRLAgent(OverLowLevel, CommonAgent):
         """
         fetch = getattr(self._env, "fetch_tracking_demo", None)
         demo = None if fetch is None else fetch(NUM_SAMPLES)
-        if demo is None or not self.model.a2c_network.separate:
-            log.info("no warm start: the task has no clips with the policy's observations")
+        if demo is None or not demo.reaches_goal or not self.model.a2c_network.separate:
+            log.info("no warm start: the clips do not show which motion reaches the goal")
             return
         obs, amp_obs = demo.obs.to(self.ppo_device), demo.amp_obs.to(self.ppo_device)
         latents = self.llc.encoder.read(self.llc.discriminator.truncate(amp_obs))

@@ -274,6 +274,12 @@ def planar_motion(root_states: Tensor) -> Tensor:
     return torch.cat((velocity[:, :2], root_states[:, 12:13]), dim=-1)
 
 
+def planar_speed(motion: Tensor) -> Tensor:
+    """Return the lengths (n,) m/s of `planar_motion` (n, 3); 100 degrees/s count as 1 m/s."""
+    turn_m_s = torch.rad2deg(motion[:, 2:]) / 100.0
+    return torch.linalg.vector_norm(torch.cat((motion[:, :2], turn_m_s), dim=-1), dim=-1)
+
+
 def rotate_about_z(cos: Tensor, sin: Tensor, v: Tensor) -> Tensor:
     """Rotate vectors v (..., 3) about world z by an angle given as its cosine and sine (...).
 

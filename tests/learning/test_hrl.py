@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -98,9 +99,10 @@ def test_low_level_that_says_auto_computes_as_the_high_level(
     assert agent.llc.model.a2c_network.executor.bfloat16 is expected
 
 
-def test_a_warm_start_teaches_the_latents_of_clips(llc, make_agent):
+def test_a_warm_start_teaches_the_latents_of_clips(llc, make_agent, monkeypatch):
     agent = make_agent(*overrides(llc, f"{CONFIG}.warm_start_steps=300"))
     demo = agent._env.fetch_tracking_demo(500)
+    fetch = agent._env.fetch_tracking_demo
     wanted = agent.llc.encoder.read(agent.llc.discriminator.truncate(demo.amp_obs))
 
     def likeness() -> float:
@@ -108,6 +110,11 @@ def test_a_warm_start_teaches_the_latents_of_clips(llc, make_agent):
         return float((chosen * wanted).sum(-1).mean())
 
     before = likeness()
+    agent._init_train()  # the task has no goal
+    assert likeness() == before
+    monkeypatch.setattr(
+        agent._env, "fetch_tracking_demo", lambda n: replace(fetch(n), reaches_goal=True)
+    )
     agent.env_reset()  # the first reset comes after the warm start
     assert likeness() > max(0.6, before + 0.3)
     assert agent.frozen_until > 0  # the critic learns first

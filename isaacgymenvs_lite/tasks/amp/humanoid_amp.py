@@ -379,9 +379,11 @@ class HumanoidAMP(HumanoidAMPBase):
         obs = self._observe_clip((root, dof_pos, dof_vel, key_pos))
         if obs is None:
             return None
+        reaches_goal = False
         if with_goal and self.goal.num_task_obs > 0:
             ahead = motions.ahead(motion_ids, times, self.goal.look_ahead_s)
             goal = self.goal.observe_clips(self._clips_ahead(*ahead))
+            reaches_goal = goal is not None
             if goal is None:  # the actor learns to follow the clips whatever the goal is
                 self.goal.reset(torch.arange(self.num_envs, device=self.device))
                 drawn = self.goal.observe(None)
@@ -395,7 +397,8 @@ class HumanoidAMP(HumanoidAMPBase):
         targets = near + leads_s * change / (2 * dt_s)
         actions = ((targets - self._action_offset) / self._action_scale).clamp(-1.0, 1.0)
         amp_obs = motions.windows(motion_ids, times)
-        return TrackingDemo(*(rows.to(self.rl_device) for rows in (obs, actions, amp_obs)))
+        tensors = (rows.to(self.rl_device) for rows in (obs, actions, amp_obs))
+        return TrackingDemo(*tensors, reaches_goal=reaches_goal)
 
     def _observe_clip(self, states: CharacterState) -> Tensor | None:
         """Return observations of clip states, or None if these do not determine observations."""
@@ -430,7 +433,8 @@ class HumanoidAMP(HumanoidAMPBase):
             self.goal.start_in_clips(reference_ids, self._clips_ahead(*ahead))
 
     def _clips_ahead(self, root_states: Tensor, key_pos: Tensor) -> ClipsAhead:
-        bodies = zip(self.key_body_names(), key_pos.unbind(2), strict=False)  # none without times
+        # A goal that looks at no times gets no bodies.
+        bodies = zip(self.key_body_names(), key_pos.unbind(2), strict=False)
         return ClipsAhead(root_states, dict(bodies))
 
     def robot_description(self) -> RobotDescription:

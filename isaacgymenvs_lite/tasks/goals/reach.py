@@ -21,7 +21,8 @@ from isaacgymenvs_lite.tasks.goals.goal import (
 from isaacgymenvs_lite.tasks.goals.planar import in_heading_frame
 
 _DISTANCE_SCALE = 4.0
-_BODIES = ("sword", "right_hand")  # the first existing body is the default
+REACHING_BODIES = ("sword", "right_hand")
+"""The first of these bodies that a character has is the default."""
 
 
 def compute_reach_observations(root_states: Tensor, tar_pos: Tensor) -> Tensor:
@@ -68,7 +69,7 @@ class Reach(PointGoal):
         )
         super().attach(simulation, dt_s)
         names = simulation.body_names
-        name = cfg.reach_body_name or next((body for body in _BODIES if body in names), "")
+        name = cfg.reach_body_name or next((body for body in REACHING_BODIES if body in names), "")
         if name not in names:
             raise ConfigError(unknown("task.env.reachBodyName", name, names))
         self._body, self._body_name = names.index(name), name

@@ -14,15 +14,14 @@ from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.goals.goal import ClipsAhead, Goal
 from isaacgymenvs_lite.tasks.goals.planar import in_heading_frame
-from isaacgymenvs_lite.tasks.goals.velocity import WINDOW_S, MeanShortfall
-from isaacgymenvs_lite.utils.rotations import planar_motion
+from isaacgymenvs_lite.tasks.goals.reach import REACHING_BODIES
+from isaacgymenvs_lite.tasks.goals.velocity import MeanShortfall
+from isaacgymenvs_lite.utils.rotations import planar_motion, planar_speed
 
 # A latent is a unit vector, so that commands must be small: these factors make a run of 2.8 m/s, a
 # turn of 110 degrees per second and a hand above the head about 0.5 long.
 _SCALES = (0.2, 0.6, 0.3)  # per m/s forward, m/s to the left, rad/s
 _HAND_SCALE = 0.6  # per m
-_HANDS = ("sword", "right_hand")  # the first existing body is the hand
-_TURN_M = 0.573  # 100 degrees count as 1 m
 _LEAST_PACE_M_S, _HAND_MISS_M = 0.3, 0.5
 _HAND_WEIGHT = 0.5
 
@@ -41,15 +40,14 @@ class Skill(Goal):
         """Run the base method, and command all characters to stand."""
         super().attach(simulation, dt_s)
         names = simulation.body_names
-        self._hand_name = next((n for n in _HANDS if n in names and n in self.key_bodies), "")
+        known = (name for name in REACHING_BODIES if name in names and name in self.key_bodies)
+        self._hand_name = next(known, "")
         self._hand = names.index(self._hand_name) if self._hand_name else None
         scales = _SCALES + (_HAND_SCALE,) * 3 * (self._hand is not None)
         self._scales = torch.tensor(scales, device=simulation.device)
         self.num_commands = len(scales)
         self.commands = torch.zeros(simulation.num_envs, len(scales), device=simulation.device)
-        self._shortfall = MeanShortfall(
-            simulation.num_envs, len(scales), WINDOW_S, dt_s, simulation.device
-        )
+        self._shortfall = MeanShortfall(simulation.num_envs, len(scales), dt_s, simulation.device)
 
     def commands_of_clips(self, ahead: ClipsAhead) -> Tensor:
         """Return commands (n, C): what n clips do in the second around a moment."""
@@ -87,16 +85,10 @@ class Skill(Goal):
         contrast to a Gaussian kernel, each step towards a distant command earns more.
         """
         mean = self._shortfall.mean()
-        missed_m_s, asked_m_s = _pace(mean), _pace(self.commands)
+        missed_m_s, asked_m_s = planar_speed(mean[:, :3]), planar_speed(self.commands[:, :3])
         pace = (1.0 - missed_m_s / asked_m_s.clamp(min=_LEAST_PACE_M_S)).clamp(min=-1.0)
         if self._hand is None:
             return {"pace": pace}
         missed_m = torch.linalg.vector_norm(mean[:, 3:], dim=-1)
         hand = _HAND_WEIGHT * (1.0 - missed_m / _HAND_MISS_M).clamp(min=0.0)
         return {"pace": pace, "hand": hand}
-
-
-def _pace(motion: Tensor) -> Tensor:
-    """Return the lengths (n,) m/s of planar motions, the first three columns of (n, C)."""
-    turn_m_s = _TURN_M * motion[:, 2:3]
-    return torch.linalg.vector_norm(torch.cat((motion[:, :2], turn_m_s), dim=-1), dim=-1)

@@ -33,7 +33,7 @@ _TARGET_DENSITY = 30.0  # kg/m^3: 8.64 kg
 _TARGET_HEIGHT_M = 0.5 * _TARGET_SIZE_M[2]
 _DIST_MIN_M, _DIST_MAX_M, _NEAR_DIST_M, _NEAR_PROB = 0.5, 10.0, 1.5, 0.5
 # The centre of a box that suits a clip is this far behind the farthest point of the striking body.
-# At the start the box does not touch the character.
+# It is far enough from the character that the two do not touch when an episode starts.
 _BEHIND_M, _CLEAR_M = 0.1, 0.6
 _STRIKE_BODIES = ("sword", "right_hand", "right_lower_arm")
 

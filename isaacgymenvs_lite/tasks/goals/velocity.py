@@ -84,16 +84,14 @@ class VelocitySettings(GoalSettings):
 
 
 class MeanShortfall(Stateful):
-    """The mean difference (N, C) between wanted and actual motion in the last `window_s` seconds.
+    """The mean difference (N, C) between wanted and actual motion in the last second.
 
     `dt_s` is the duration of a control step.
     """
 
-    def __init__(
-        self, num_envs: int, num_values: int, window_s: float, dt_s: float, device: torch.device
-    ) -> None:
+    def __init__(self, num_envs: int, num_values: int, dt_s: float, device: torch.device) -> None:
         # Differences in a ring buffer, and its number of valid rows.
-        steps = max(1, round(window_s / dt_s))
+        steps = max(1, round(WINDOW_S / dt_s))
         self._rows = torch.zeros(steps, num_envs, num_values, device=device)
         self._next = 0
         self._num_valid = torch.zeros(num_envs, dtype=torch.int64, device=device)
@@ -152,7 +150,7 @@ class Velocity(TimedGoal):
         n, device = simulation.num_envs, simulation.device
         self.commands = torch.zeros(n, 3, device=device)
         self._steered: list[float] | None = None  # the user's command
-        self._shortfall = MeanShortfall(n, 3, WINDOW_S, dt_s, device)
+        self._shortfall = MeanShortfall(n, 3, dt_s, device)
         self._command_steps = torch.zeros(n, dtype=torch.int64, device=device)
 
     def _limits(self, device: torch.device) -> tuple[Tensor, Tensor]:
