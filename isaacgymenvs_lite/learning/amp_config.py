@@ -22,6 +22,9 @@ class AMPParams:
     """Weight of the task's reward."""
     disc_reward_w: float = setting()
     """Weight of the style reward."""
+    disc_reward_w_final: float | None = setting(None)
+    """New here: weight of the style reward in the last epoch; the weight changes linearly. None
+    keeps `disc_reward_w`."""
     amp_obs_demo_buffer_size: int = setting(minimum=1)
     """Number of AMP observations of the clips that the demonstration buffer holds."""
     amp_replay_buffer_size: int = setting(minimum=1)
@@ -123,7 +126,7 @@ class GenAMPParams(AMPParams):
     """New here: weight of the loss that spreads the latents of the clips over the sphere."""
     enc_command_coef: float = setting(0.0, minimum=0)
     """New here: weight of the loss that makes the first entries of the latents of clips commands:
-    velocity, turn rate and position of a hand. It needs `task.env.goal=skill`."""
+    velocities and turn rate. It needs `task.env.goal=skill`."""
 
     @property
     def encodes_clips(self) -> bool:

@@ -83,7 +83,7 @@ class AMPAgent(StyleLosses, CommonAgent):
     }
 
     _task_reward_w = ReadOnly("_amp.task_reward_w")
-    _disc_reward_w = ReadOnly("_amp.disc_reward_w")
+    _disc_reward_w = ReadOnly("style_weight", "train.params.config.disc_reward_w")
     _disc_reward_scale = ReadOnly("_amp.disc_reward_scale")
     _disc_coef = ReadOnly("_amp.disc_coef")
     _disc_logit_reg = ReadOnly("_amp.disc_logit_reg")
@@ -242,9 +242,17 @@ class AMPAgent(StyleLosses, CommonAgent):
         self._rollout_rewards = {"task_rewards": task_rewards, **amp_rewards}
         return self._combine_rewards(task_rewards, amp_rewards)
 
+    @property
+    def style_weight(self) -> float:
+        """The weight of the style reward in this epoch."""
+        first, final = self._amp.disc_reward_w, self._amp.disc_reward_w_final
+        if final is None or self.max_epochs <= 0:
+            return first
+        return first + (final - first) * min(self.epoch_num / self.max_epochs, 1.0)
+
     def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
-        """Return the total rewards task_reward_w * task + disc_reward_w * style, (..., 1)."""
-        style_rewards = self._amp.disc_reward_w * amp_rewards["disc_rewards"]
+        """Return the total rewards task_reward_w * task + style_weight * style, (..., 1)."""
+        style_rewards = self.style_weight * amp_rewards["disc_rewards"]
         return self._amp.task_reward_w * task_rewards + style_rewards
 
     # --- training set ----------------------------------------------------------------------
@@ -253,7 +261,7 @@ class AMPAgent(StyleLosses, CommonAgent):
         """Fill the dataset, including AMP observations of rollout, replay buffer and clips."""
         task, style = (self._rollout_rewards[name] for name in ("task_rewards", "disc_rewards"))
         of_task = (self._amp.task_reward_w * task.mean()).abs()
-        of_style = (self._amp.disc_reward_w * style.mean()).abs()
+        of_style = (self.style_weight * style.mean()).abs()
         self.collect({"style_share": of_style / (of_task + of_style).clamp(min=1e-8)})
         self._schedule_grad_penalty()
         self._update_amp_demos()

@@ -92,6 +92,15 @@ def test_rewards_are_combined_by_weight(make_agent, record, roll_out):
     torch.testing.assert_close(last, delta[:, 0], rtol=1e-5, atol=1e-5)
 
 
+def test_the_weight_of_the_style_changes_linearly(make_agent):
+    weights = (f"{CONFIG}.disc_reward_w=0.5", f"{CONFIG}.disc_reward_w_final=1.5")
+    agent = make_agent(*weights, "max_iterations=10")
+    agent.epoch_num = 4
+    assert agent.style_weight == pytest.approx(0.9)
+    amp_rewards = {"disc_rewards": torch.tensor([2.0])}
+    assert agent._combine_rewards(torch.tensor([0.0]), amp_rewards).item() == pytest.approx(1.8)
+
+
 def test_amp_observations_are_stored_with_their_transition(make_agent, record, roll_out):
     agent = make_agent()
     tape = record(agent)

@@ -182,9 +182,29 @@ class HumanoidAMP(HumanoidAMPBase):
         return None if self._ending is None else self._starts.times_s
 
     def compute_time_outs(self) -> Tensor:
-        """Return which episodes (N,) reached the time limit or the end of the clip."""
+        """Return which episodes (N,) end, but not by a failure.
+
+        They reached the time limit or the end of the clip, or a goal forgives in training that it
+        cannot be reached any more.
+        """
         time_outs = super().compute_time_outs()
-        return time_outs if self._ending is None else time_outs | self._ending.is_over
+        if self._ending is not None:
+            time_outs = time_outs | self._ending.is_over
+        if self._forgives_failures and (missed := self._missed_goals()) is not None:
+            time_outs = time_outs | missed
+        return time_outs
+
+    @property
+    def _forgives_failures(self) -> bool:
+        return self.is_training and self.goal.forgives_failures
+
+    def _missed_goals(self) -> Tensor | None:
+        """Return which goals (N,) cannot be reached any more, or None if goals always can."""
+        if not self.env_cfg.enable_early_termination:
+            return None
+        missed = self.goal.failures(self.contact_body_ids)
+        # The contact forces of an episode's first step may be stale.
+        return None if missed is None else missed & (self.progress_buf > 1)
 
     @property
     def amp_observation_space(self) -> gymnasium.spaces.Box:
@@ -301,11 +321,9 @@ class HumanoidAMP(HumanoidAMPBase):
         if self._off_clip is not None and self.is_training:
             self.extras["off_clip"] = (self._off_clip & ~fallen).to(self.rl_device)
             fallen = fallen | self._off_clip
-        missed = self.goal.failures(self.contact_body_ids)
-        if missed is None:
-            return fallen
-        # The contact forces of an episode's first step may be stale.
-        return fallen | (missed & (self.progress_buf > 1))
+        if not self._forgives_failures and (missed := self._missed_goals()) is not None:
+            fallen = fallen | missed
+        return fallen
 
     def post_physics_step(self) -> None:
         """Run the base method, then add the step, even a terminal one, to the AMP history."""

@@ -75,6 +75,8 @@ class Goal(Stateful):
     """Help text about the keys of `on_key`, empty if the goal has no keys."""
     look_ahead_s: ClassVar[tuple[float, ...]] = ()
     """`ClipsAhead` has what the clips do at these times (s) from a moment, the past is negative."""
+    forgives_failures: bool = False
+    """Whether `failures` end episodes of a training like the time limit, and cost nothing."""
     num_commands: int = 0
     """Number C of values in a command of the agent (`CommandedSkillEnv`)."""
     settings_class: ClassVar[type[GoalSettings]] = GoalSettings

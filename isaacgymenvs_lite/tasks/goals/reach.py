@@ -21,7 +21,7 @@ from isaacgymenvs_lite.tasks.goals.goal import (
 from isaacgymenvs_lite.tasks.goals.planar import in_heading_frame
 
 _DISTANCE_SCALE = 4.0
-REACHING_BODIES = ("sword", "right_hand")
+_REACHING_BODIES = ("sword", "right_hand")
 """The first of these bodies that a character has is the default."""
 
 
@@ -69,7 +69,7 @@ class Reach(PointGoal):
         )
         super().attach(simulation, dt_s)
         names = simulation.body_names
-        name = cfg.reach_body_name or next((body for body in REACHING_BODIES if body in names), "")
+        name = cfg.reach_body_name or next((body for body in _REACHING_BODIES if body in names), "")
         if name not in names:
             raise ConfigError(unknown("task.env.reachBodyName", name, names))
         self._body, self._body_name = names.index(name), name

@@ -32,9 +32,11 @@ _TARGET_SIZE_M = (0.4, 0.4, 1.8)
 _TARGET_DENSITY = 30.0  # kg/m^3: 8.64 kg
 _TARGET_HEIGHT_M = 0.5 * _TARGET_SIZE_M[2]
 _DIST_MIN_M, _DIST_MAX_M, _NEAR_DIST_M, _NEAR_PROB = 0.5, 10.0, 1.5, 0.5
-# The centre of a box that suits a clip is this far behind the farthest point of the striking body.
-# It is far enough from the character that the two do not touch when an episode starts.
-_BEHIND_M, _CLEAR_M = 0.1, 0.6
+# The centre of a box that suits a clip is so far before the farthest point of the striking body that
+# the push tips the box, but far enough from the character that an episode does not start with a
+# touch. A clip that travels may have so many times its way to go until then.
+_BEFORE_M, _CLEAR_M = 0.1, 0.6
+_FARTHER = 2.0
 _STRIKE_BODIES = ("sword", "right_hand", "right_lower_arm")
 
 _SPEED_SCALE, _SPEED_M_S = 4.0, 1.0
@@ -101,6 +103,7 @@ class StrikeSettings(GoalSettings):
     """Keys of `task.env` for the goal `strike`."""
 
     strike_body_names: tuple[str, ...] = setting((), key="strikeBodyNames")
+    forgive_touch: bool = setting(False, key="forgiveTouch")
 
 
 class Strike(Goal):
@@ -118,6 +121,7 @@ class Strike(Goal):
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
         """Run the base method and look up the box and the striking bodies."""
         super().attach(simulation, dt_s)
+        self.forgives_failures = self.settings.forgive_touch
         names = simulation.body_names
         wanted = self.settings.strike_body_names
         for name in wanted:
@@ -159,8 +163,11 @@ class Strike(Goal):
         offsets = ahead.body_pos_w[name][:, :, :2] - ahead.root_states[:, :1, :2]
         distances, farthest = torch.linalg.vector_norm(offsets, dim=-1).max(dim=1)
         offset = offsets[torch.arange(len(offsets), device=offsets.device), farthest]
-        away = (distances + _BEHIND_M).clamp(min=_CLEAR_M).unsqueeze(-1)
-        return away * normalize(offset)
+        direction = normalize(offset)
+        way = ahead.root_states[:, -1, :2] - ahead.root_states[:, 0, :2]
+        farther = _FARTHER * torch.rand_like(distances) * (way * direction).sum(-1).clamp(min=0.0)
+        away = (distances - _BEFORE_M).clamp(min=_CLEAR_M) + farther
+        return away.unsqueeze(-1) * direction
 
     def _place(self, env_ids: Tensor, offset: Tensor) -> None:
         """Place the boxes `offset` (n, 2) m from the characters."""

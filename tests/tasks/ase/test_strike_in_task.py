@@ -151,3 +151,13 @@ def test_a_hit_with_another_body_fails_the_episode(make, hit) -> None:
     assert infos["terminate"].tolist() == [1]
     assert task.reset_buf.tolist() == [1]
     assert infos["time_outs"].tolist() == [False]
+
+
+def test_a_forgiven_touch_ends_an_episode_of_the_training_like_the_time_limit(make, hit) -> None:
+    task = make(1, stateInit="Default", forgiveTouch=True)
+    task.is_training = True
+    infos = hit(task, BESIDE_THE_SHOULDER)
+    assert infos["terminate"].tolist() == [0]
+    assert infos["time_outs"].tolist() == task.reset_buf.tolist() == [True]
+    task.is_training = False
+    assert hit(task, BESIDE_THE_SHOULDER)["terminate"].tolist() == [1]
