@@ -32,9 +32,9 @@ _TARGET_SIZE_M = (0.4, 0.4, 1.8)
 _TARGET_DENSITY = 30.0  # kg/m^3: 8.64 kg
 _TARGET_HEIGHT_M = 0.5 * _TARGET_SIZE_M[2]
 _DIST_MIN_M, _DIST_MAX_M, _NEAR_DIST_M, _NEAR_PROB = 0.5, 10.0, 1.5, 0.5
-# The centre of a box that suits a clip is so far before the farthest point of the striking body that
-# the push tips the box, but far enough from the character that no episode starts with a touch. If a
-# clip travels, the box may be farther away by up to so many times the way.
+# The centre of a box that suits a clip is so far before the farthest point of the striking body
+# that the push tips the box, but far enough from the character that no episode starts with a touch.
+# If a clip travels, the box may be farther away by up to so many times the way.
 _BEFORE_M, _CLEAR_M = 0.1, 0.6
 _FARTHER = 2.0
 _STRIKE_BODIES = ("sword", "right_hand", "right_lower_arm")
