@@ -40,7 +40,7 @@ def test_it_knows_its_latents_and_layers(checkpoint, shipped_dir) -> None:
     assert (info.task, info.clip) == ("HumanoidASE", "stand")
     cfg = compose([*playing_overrides("skills"), "num_envs=2"])
     assert cfg.train.params.config.latent_dim == 5
-    assert cfg.task.env.goal == "none"
+    assert cfg.task.env.goal == "skill"
 
 
 def test_a_hierarchy_takes_it_by_name(checkpoint, shipped_dir, tmp_path, monkeypatch) -> None:

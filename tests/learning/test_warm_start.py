@@ -132,7 +132,7 @@ def test_skills_are_taught_under_the_latents_of_the_clips(make_agent, caplog):
 @pytest.mark.parametrize(
     "words",
     [
-        (f"{CONFIG}.enc_alignment_coef=0", f"{CONFIG}.enc_uniformity_coef=0"),
+        tuple(f"{CONFIG}.enc_{loss}_coef=0" for loss in ("alignment", "uniformity", "command")),
         ("task.env.pdControl=False",),
     ],
 )

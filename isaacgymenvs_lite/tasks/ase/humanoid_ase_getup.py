@@ -79,11 +79,13 @@ class HumanoidASEGetup(HumanoidASE):
         self.recovery_steps_left.sub_(1).clamp_(min=0)
 
     def compute_reward_terms(self) -> Terms:
-        """Return the goal's reward, or without a goal the reward in [0, 1] of standing upright."""
+        """Return the goal's reward; for skills also the reward in [0, 1] of standing upright."""
+        terms = super().compute_reward_terms()
         if self.goal.num_obs > 0:
-            return super().compute_reward_terms()
+            return terms
         off = (self._heights_m() / self._standing_m - 1.0).abs()
-        return {"upright": (1.0 - off).clamp(min=0.0).mean(dim=1)}
+        upright = {"upright": (1.0 - off).clamp(min=0.0).mean(dim=1)}
+        return terms | upright if self.goal.num_commands > 0 else upright
 
     def _heights_m(self) -> Tensor:
         """Return the heights (N, 2) m of root and head, or (N, 1) if there is no head."""

@@ -26,18 +26,20 @@ class Skill(Goal):
     """The goal `skill`.
 
     A command (n, 3) has the velocities forward and to the left and the turn rate, each times a
-    factor. All are means over a second.
+    factor. All are means over a second. Without an agent that issues commands the goal is as the
+    goal `none`.
     """
 
     look_ahead_s = tuple(i / 10 - 0.5 for i in range(11))
     num_commands = len(_SCALES)
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """Run the base method, and command all characters to stand."""
+        """Run the base method, and allocate the commands."""
         super().attach(simulation, dt_s)
         num_envs, device = simulation.num_envs, simulation.device
         self._scales = torch.tensor(_SCALES, device=device)
         self.commands = torch.zeros(num_envs, self.num_commands, device=device)
+        self._is_commanded = False
         self._shortfall = MeanShortfall(num_envs, self.num_commands, dt_s, device)
 
     def commands_of_clips(self, ahead: ClipsAhead) -> Tensor:
@@ -48,6 +50,7 @@ class Skill(Goal):
     def command(self, env_ids: Tensor, commands: Tensor) -> None:
         """Give commands (n, 3) to characters `env_ids` (n,)."""
         self.commands.index_copy_(0, env_ids, commands / self._scales)
+        self._is_commanded = True
 
     def reset(self, env_ids: Tensor) -> None:
         """Clear the errors of the previous episode."""
@@ -57,13 +60,15 @@ class Skill(Goal):
         """Store the difference between the command and the motion of the step."""
         self._shortfall.add(self.commands - planar_motion(self.root_states()))
 
-    def reward(self) -> Terms:
+    def reward(self) -> Tensor | Terms:
         """Return the rewards (N,) of the mean pace in the last second.
 
-        The reward is 1 - error / commanded pace, at least -1: 0 for a character that stands and
+        The reward is 1 - error / commanded pace, at least 0, as for a character that stands and
         should move. In contrast to a Gaussian kernel, each step towards a distant command earns
-        more.
+        more. A negative reward would pay characters that fall at once.
         """
+        if not self._is_commanded:
+            return super().reward()
         missed_m_s = planar_speed(self._shortfall.mean())
         asked_m_s = planar_speed(self.commands).clamp(min=_LEAST_PACE_M_S)
-        return {"pace": (1.0 - missed_m_s / asked_m_s).clamp(min=-1.0)}
+        return {"pace": (1.0 - missed_m_s / asked_m_s).clamp(min=0.0)}

@@ -103,11 +103,15 @@ class StrikeSettings(GoalSettings):
     """Keys of `task.env` for the goal `strike`."""
 
     strike_body_names: tuple[str, ...] = setting((), key="strikeBodyNames")
-    forgive_touch: bool = setting(False, key="forgiveTouch")
+    forgive_touch: float = setting(0.0, key="forgiveTouch", minimum=0, maximum=1)
 
 
 class Strike(Goal):
-    """The goal `strike`."""
+    """The goal `strike`.
+
+    Attributes:
+        fell_share: share of the boxes that fell, over about the last 2 N episodes.
+    """
 
     num_obs = 15
     look_ahead_s = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
@@ -121,7 +125,9 @@ class Strike(Goal):
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
         """Run the base method and look up the box and the striking bodies."""
         super().attach(simulation, dt_s)
-        self.forgives_failures = self.settings.forgive_touch
+        self._fell = torch.zeros(simulation.num_envs, device=simulation.device)
+        self.fell_share = 0.0
+        self.forgives_failures = self.settings.forgive_touch > 0.0
         names = simulation.body_names
         wanted = self.settings.strike_body_names
         for name in wanted:
@@ -135,12 +141,21 @@ class Strike(Goal):
     def reset(self, env_ids: Tensor) -> None:
         """Place the boxes upright at random positions around the characters."""
         n, device = len(env_ids), env_ids.device
+        self._count_fallen(env_ids)
         near = torch.rand(n, device=device) < _NEAR_PROB
         furthest = torch.full((n,), _DIST_MAX_M, device=device).masked_fill(near, _NEAR_DIST_M)
         distance = _DIST_MIN_M + torch.rand(n, device=device) * (furthest - _DIST_MIN_M)
         bearing = uniform(env_ids, 0.0, math.tau)
         offset = distance.unsqueeze(-1) * torch.stack((bearing.cos(), bearing.sin()), dim=-1)
         self._place(env_ids, offset)
+
+    def _count_fallen(self, env_ids: Tensor) -> None:
+        """Count the fallen boxes of episodes (n,) that ended."""
+        rate = len(env_ids) / (2 * self.simulation.num_envs)
+        self.fell_share += rate * (float(self._fell[env_ids].mean()) - self.fell_share)
+        self._fell.index_fill_(0, env_ids, 0.0)
+        if self.fell_share >= self.settings.forgive_touch:
+            self.forgives_failures = False
 
     def observe_clips(self, ahead: ClipsAhead) -> Tensor | None:
         """Return observations (n, 15) of boxes where the striking bodies go in n clips."""
@@ -185,6 +200,11 @@ class Strike(Goal):
 
     def _target_states(self, env_ids: Tensor | None = None) -> Tensor:
         return self.rows(self.simulation.object_states[:, self._target], env_ids)
+
+    def after_step(self) -> None:
+        """Store which boxes fell, because a reset puts them back on their feet."""
+        super().after_step()
+        self._fell = self.successes()["box_fell"]
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
         """See `compute_strike_observations`."""

@@ -25,14 +25,14 @@ from isaacgymenvs_lite.tasks.goals import goal_keys
 
 # agent of the default train file, goal and stateInit
 TASK_FILES = {
-    "HumanoidASE": ("gen_amp", "none", "Hybrid"),
-    "HumanoidASEGetup": ("gen_amp", "none", "Hybrid"),
+    "HumanoidASE": ("gen_amp", "skill", "Hybrid"),
+    "HumanoidASEGetup": ("gen_amp", "skill", "Hybrid"),
     "HumanoidHeading": ("hrl", "heading", "Default"),
     "HumanoidLocation": ("hrl", "location", "Default"),
-    "HumanoidPerturb": ("gen_amp", "none", "Default"),
+    "HumanoidPerturb": ("gen_amp", "skill", "Default"),
     "HumanoidReach": ("hrl", "reach", "Default"),
     "HumanoidStrike": ("hrl", "strike", "Default"),
-    "HumanoidViewMotion": ("gen_amp", "none", "Hybrid"),
+    "HumanoidViewMotion": ("gen_amp", "skill", "Hybrid"),
 }
 # The keys that all of ASE's files have.
 PUBLISHED = {
@@ -87,8 +87,9 @@ def test_a_task_file_composes_with_its_train_file() -> None:
 
 
 def test_the_goal_follows_the_agent() -> None:
-    assert _env("task=HumanoidASE")["goal"] == "none"
-    assert _env("task=HumanoidASE", "train=HumanoidASEPPO")["goal"] == "none"
+    assert _env("task=HumanoidASE")["goal"] == "skill"
+    assert _env_on_a_gpu("HumanoidASE")["goal"] == "none"
+    assert _env("task=HumanoidASE", "train=HumanoidAMPPPO")["goal"] == "none"
     assert _env("task=HumanoidASE", "train=HumanoidASEHRLPPO")["goal"] == "heading"
     chosen = ("task=HumanoidASE", "train=HumanoidASEHRLPPO", "task.env.goal=strike")
     assert _env(*chosen)["goal"] == "strike"

@@ -48,6 +48,6 @@ def test_the_reward_is_the_share_of_the_command_that_is_shown(make_ase) -> None:
     motion = torch.stack(motions).mean(0)
     metres = torch.tensor([1.0, 1.0, 1.0 / math.radians(100)])  # 100 degrees count as 1 m
     missed, pace = ((rows * metres).norm(dim=-1) for rows in (asked - motion, asked))
-    expected = (1.0 - missed / pace.clamp(min=0.3)).clamp(min=-1.0)
+    expected = (1.0 - missed / pace.clamp(min=0.3)).clamp(min=0.0)
     torch.testing.assert_close(rewards, expected, rtol=0.0, atol=1e-3)
     assert rewards[1] < 0.2  # a character that stands shows next to nothing of a walk
