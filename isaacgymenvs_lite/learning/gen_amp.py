@@ -7,6 +7,7 @@ similar to the policy's latent; different latents therefore become different ski
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from functools import cached_property, partial
 from typing import Any, ClassVar
@@ -37,6 +38,8 @@ from isaacgymenvs_lite.learning.skills.latents import (
     sample_similar_rows,
 )
 from isaacgymenvs_lite.learning.warm_start import descend
+
+log = logging.getLogger(__name__)
 
 # Each random latent is compared with this many AMP observations of the clips.
 _NEIGHBOURS = 512
@@ -141,15 +144,16 @@ class GenAMPAgent(SkillRewards, AMPAgent):
                 " network.disc.conditional",
             )
         self._commanding: CommandedSkillEnv | None = None
-        if self._amp.enc_command_coef > 0.0:
-            self._commanding = require(
-                self._env, CommandedSkillEnv, "train.params.config.enc_command_coef"
-            )
-            if not 0 < self._commanding.num_skill_commands <= self._amp.latent_dim:
+        if self._amp.enc_command_coef > 0.0 and fits(self._env, CommandedSkillEnv):
+            num_commands = self._env.num_skill_commands
+            if num_commands > self._amp.latent_dim:
                 raise ConfigError(
-                    "train.params.config.enc_command_coef: the task takes no commands; set"
-                    " task.env.goal=skill, or this key to 0"
+                    f"train.params.config.latent_dim={self._amp.latent_dim}: expected at least"
+                    f" {num_commands}, because the first entries of latents are commands"
                 )
+            self._commanding = self._env if num_commands > 0 else None
+        if self._amp.enc_command_coef > 0.0 and self._commanding is None:
+            log.info("latents command nothing: the task does not have task.env.goal=skill")
         # The task compares an episode with its clip until the first latent of the episode changes.
         self._keeping: ClipKeepingEnv | None = None
         if self._amp.clip_latents > 0.0 and fits(self._clips, ClipKeepingEnv):
@@ -354,8 +358,8 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     @cached_property
     def _commanded_demos(self) -> tuple[Tensor, Tensor]:
         """AMP observations (K, F) of clips, with commands (K, C)."""
-        commanding = require(self._env, CommandedSkillEnv, "train.params.config.enc_command_coef")
-        amp_obs, commands = commanding.fetch_commanded_demos(_COMMANDED_DEMOS)
+        assert self._commanding is not None
+        amp_obs, commands = self._commanding.fetch_commanded_demos(_COMMANDED_DEMOS)
         return self.discriminator.truncate(amp_obs), commands
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Any]:

@@ -143,3 +143,18 @@ def test_skills_without_an_encoder_of_clips_or_drives(make_agent, caplog, words)
     agent.max_epochs = 1
     agent.train()
     assert "no warm start" in caplog.text
+
+
+def test_latents_command_only_with_the_goal_skill(make_agent):
+    agent = make_agent(*ASE_WARM)
+    agent.max_epochs = 1
+    agent.train()
+    scales = torch.tensor([0.2, 0.6, 0.3])
+    commands = agent.vec_env.env.goal.commands * scales
+    torch.testing.assert_close(commands, agent.schedule.latents[:, :3])
+    assert "enc_command_loss" in agent.train_info_means()
+
+    agent = make_agent(*ASE_WARM, "task.env.goal=none")
+    agent.max_epochs = 1
+    agent.train()
+    assert "enc_command_loss" not in agent.train_info_means()
