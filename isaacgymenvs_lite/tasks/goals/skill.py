@@ -26,7 +26,7 @@ class Skill(Goal):
     """The goal `skill`.
 
     A command (n, 3) has the velocities forward and to the left and the turn rate, each times a
-    factor. All are means over a second. Without an agent that issues commands the goal is as the
+    factor. All are means over a second. If the agent issues no commands, the reward is 1 as for the
     goal `none`.
     """
 
@@ -61,7 +61,7 @@ class Skill(Goal):
         self._shortfall.add(self.commands - planar_motion(self.root_states()))
 
     def reward(self) -> Tensor | Terms:
-        """Return the rewards (N,) of the mean pace in the last second.
+        """Return the rewards (N,) of the mean pace in the last second, or 1 without commands.
 
         The reward is 1 - error / commanded pace, at least 0, as for a character that stands and
         should move. In contrast to a Gaussian kernel, each step towards a distant command earns

@@ -151,8 +151,8 @@ class Strike(Goal):
 
     def _count_fallen(self, env_ids: Tensor) -> None:
         """Count the fallen boxes of episodes (n,) that ended."""
-        rate = len(env_ids) / (2 * self.simulation.num_envs)
-        self.fell_share += rate * (float(self._fell[env_ids].mean()) - self.fell_share)
+        surplus = float((self._fell[env_ids] - self.fell_share).sum())  # 0 if no episode ended
+        self.fell_share += surplus / (2 * self.simulation.num_envs)
         self._fell.index_fill_(0, env_ids, 0.0)
         if self.fell_share >= self.settings.forgive_touch:
             self.forgives_failures = False
