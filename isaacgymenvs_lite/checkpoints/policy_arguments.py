@@ -5,15 +5,18 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.staging import quoted
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.paths import shipped_policies
+from isaacgymenvs_lite.paths import cfg_dir, shipped_policies
 from isaacgymenvs_lite.schema import leaves, select
+
+if TYPE_CHECKING:
+    from isaacgymenvs_lite.checkpoints.packed import PolicyInfo
 
 log = logging.getLogger(__name__)
 
@@ -23,6 +26,8 @@ _NETWORK = "train.params.network"
 # The values of other settings depend on these arguments. An argument with a comma belongs to a
 # sweep.
 _FILE_KEYS = ("task", "train", "rl_device")
+# Policies of these algorithms may have another train file than the task's own.
+_OTHERS = ("hrl", "amp_continuous")
 
 
 def playing_overrides(name: str) -> list[str]:
@@ -40,7 +45,17 @@ def playing_overrides(name: str) -> list[str]:
     settings = [f"++{path}={as_override(value)}" for path, value in info.settings.items()]
     # The packed policy's network section is complete. The section of the current train file is
     # removed, because its keys must not be added.
-    return [f"task={info.task}", f"~{_NETWORK}", *settings]
+    return [*_files_of(info), f"~{_NETWORK}", *settings]
+
+
+def _files_of(info: PolicyInfo) -> list[str]:
+    """Return `task=`, and `train=` if the task's own train file is for another algorithm."""
+    algorithm = info.settings["train.params.algo.name"]
+    train = "HumanoidASEHRLPPO" if algorithm == "hrl" else f"{info.task}AMP"
+    files = [f"task={info.task}"]
+    if algorithm in _OTHERS and (cfg_dir() / "train" / f"{train}.yaml").is_file():
+        files.append(f"train={train}")
+    return files
 
 
 def complete_arguments(arguments: Sequence[str]) -> list[str]:
@@ -54,8 +69,7 @@ def complete_arguments(arguments: Sequence[str]) -> list[str]:
     if name not in shipped_policies():
         return arguments
     settings = playing_overrides(name)
-    if "task" in typed:
-        settings = settings[1:]
+    settings = [word for word in settings if word.partition("=")[0] not in typed]
     # Overrides must be adjacent for Hydra's parser.
     place = next(i for i, word in enumerate(arguments) if "=" in word)
     return [*arguments[:place], *settings, *arguments[place:]]
@@ -79,16 +93,17 @@ def inherited_settings(arguments: Sequence[str]) -> list[str]:
 
     info = read_policy_info(shipped_policies()[name])
     typed = {key: typed[key] for key in _FILE_KEYS if key in typed and "," not in typed[key]}
-    chosen = {"task": info.task, **typed}
+    own = [word for word in _files_of(info) if word.partition("=")[0] not in typed]
+    train = [word for word in own if word.startswith("train=")]  # The caller knows the task.
     try:
-        tree = compose([f"{key}={value}" for key, value in chosen.items()])
+        tree = compose([*own, *(f"{key}={value}" for key, value in typed.items())])
     except ConfigError:  # The files are in a user's folder, or are missing.
-        return playing_overrides(name)[1:]
+        return [*train, *playing_overrides(name)[len(_files_of(info)) :]]
     files = OmegaConf.to_container(tree, resolve=True)
     settings, in_network = info.settings, f"{_NETWORK}."
     network = leaves(select(files, _NETWORK), _NETWORK)
     is_another = any(value is not None and path not in settings for path, value in network)
-    words = [f"~{_NETWORK}"] if is_another else []
+    words = [*train, f"~{_NETWORK}"] if is_another else train
     for path, value in settings.items():
         if select(files, path) != value or (is_another and path.startswith(in_network)):
             words.append(f"++{path}={as_override(value)}")

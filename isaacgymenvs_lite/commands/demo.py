@@ -217,10 +217,10 @@ def _has_skills(cfg: DictConfig) -> bool:
 
 
 def _summary(result: EvaluationResult, cfg: DictConfig) -> str:
+    parts = [f"{name.replace('_', ' ')} {mean:.2f}" for name, mean in result.successes.items()]
     if result.imitation is None:  # The task has no reference motion.
-        successes = [f"{n.replace('_', ' ')} {mean:.2f}" for n, mean in result.successes.items()]
-        return ", ".join((*successes, f"return {result.reward:.1f} in {result.steps:.0f} steps"))
-    parts = [f"{name} {error:.3f}" for name, error in result.goal_errors.items()]
+        return ", ".join((*parts, f"return {result.reward:.1f} in {result.steps:.0f} steps"))
+    parts += [f"{name} {error:.3f}" for name, error in result.goal_errors.items()]
     if cfg.train.params.network.name == "hrl":  # Policies with random skills have no task reward.
         parts.append(f"task reward {result.reward / result.steps:.2f} per step")
     return ", ".join((*parts, result.imitation.falls()))

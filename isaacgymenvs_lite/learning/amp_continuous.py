@@ -245,10 +245,9 @@ class AMPAgent(StyleLosses, CommonAgent):
     @property
     def style_weight(self) -> float:
         """The weight of the style reward in this epoch."""
-        first, final = self._amp.disc_reward_w, self._amp.disc_reward_w_final
-        if final is None or self.max_epochs <= 0:
-            return first
-        return first + (final - first) * min(self.epoch_num / self.max_epochs, 1.0)
+        final = self._amp.disc_reward_w_final
+        is_late = 0 < 2 * self.max_epochs < 3 * self.epoch_num
+        return self._amp.disc_reward_w if final is None or not is_late else final
 
     def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
         """Return the total rewards task_reward_w * task + style_weight * style, (..., 1)."""

@@ -51,6 +51,16 @@ def test_what_was_typed_wins(tiny):
     assert compose(completed).task.env.motion_file == "run.npz"
 
 
+def test_a_policy_of_another_algorithm_brings_its_train_file_along():
+    """The task's own train file is for skills, and its settings are not those of a hierarchy."""
+    typed = ["checkpoint=heading", "num_envs=2"]
+    cfg = compose(complete_arguments(["test=True", *typed]))
+    assert (cfg.task.name, cfg.train.params.config.llc_steps) == ("HumanoidASE", 5)
+    assert "train=HumanoidASEHRLPPO" in inherited_settings(typed)
+    own = ["test=True", "train=HumanoidHeadingPPO", *typed]
+    assert compose(complete_arguments(own)).train.params.algo.name == "hrl"
+
+
 def test_other_command_lines_stay_as_they_are(tiny):
     for typed in [
         ["checkpoint=other", "max_iterations=3"],

@@ -92,13 +92,13 @@ def test_rewards_are_combined_by_weight(make_agent, record, roll_out):
     torch.testing.assert_close(last, delta[:, 0], rtol=1e-5, atol=1e-5)
 
 
-def test_the_weight_of_the_style_changes_linearly(make_agent):
+def test_the_style_has_another_weight_in_the_last_third(make_agent):
     weights = (f"{CONFIG}.disc_reward_w=0.5", f"{CONFIG}.disc_reward_w_final=1.5")
-    agent = make_agent(*weights, "max_iterations=10")
-    agent.epoch_num = 4
-    assert agent.style_weight == pytest.approx(0.9)
+    agent = make_agent(*weights, "max_iterations=9")
     amp_rewards = {"disc_rewards": torch.tensor([2.0])}
-    assert agent._combine_rewards(torch.tensor([0.0]), amp_rewards).item() == pytest.approx(1.8)
+    for agent.epoch_num, expected in ((6, 1.0), (7, 3.0)):
+        rewards = agent._combine_rewards(torch.tensor([0.0]), amp_rewards)
+        assert rewards.item() == pytest.approx(expected)
 
 
 def test_amp_observations_are_stored_with_their_transition(make_agent, record, roll_out):
