@@ -55,9 +55,9 @@ _SHOWN_EPISODES = 3
 _POSES_OF_A_STRIP = 8
 # The policies in the README, which come first in lists of policies.
 _BEST_FIRST = (
-    *("backflip", "spinkick", "g1_walk", "walk", "heading", "cartwheel", "run", "g1_velocity"),
-    *("franka_cabinet", "franka_cube_stack", "allegro_hand", "getup", "locomotion_skills"),
-    *("anymal", "humanoid", "ant"),
+    *("backflip", "spinkick", "g1_walk", "walk", "heading", "strike", "cartwheel", "run"),
+    *("g1_velocity", "franka_cabinet", "franka_cube_stack", "allegro_hand", "getup"),
+    *("locomotion_skills", "anymal", "humanoid", "ant"),
 )
 # Width and height of a panel in pixels, and number of control steps from frame to frame.
 _SIZES = {"mp4": (320, 480, 1), "webp": (200, 300, 2)}
