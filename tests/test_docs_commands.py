@@ -47,7 +47,11 @@ TORCHRUN = {"--standalone", "--nproc-per-node", "--nnodes", "--max-restarts"} | 
     f"--rdzv-{name}" for name in ("id", "backend", "endpoint")
 }
 # tests/tasks/test_registry.py runs it with the files of its page.
-RUN_ELSEWHERE = {"python train.py --config-dir cfg task=SwingUp"}
+RUN_ELSEWHERE = {
+    "python train.py --config-dir cfg task=SwingUp",
+    "python train.py --config-dir cfg task=HumanoidDribble train=HumanoidHeadingAMP",
+    "python train.py --config-dir cfg task=HumanoidDribble train=HumanoidASEHRLPPO",
+}
 # Files that a user has or makes, and a file of ours of the same kind where the check reads it.
 USERS_FILES = {
     "/path/to/AntPPO.yaml": "cfg/train/AntPPO.yaml",
