@@ -1,13 +1,15 @@
-"""Prints what a point earns that does nothing wrong but needs time to turn.
+"""Prints the returns of an ideal mass point for the goals `heading` and `location`.
 
     python -m benchmarks.goal_bounds
 
-The point rests for a while after each change of the goal `heading` or `location`. After that it
-moves with a constant speed, and without an error, as the goal asks. Its return is a bound for
-characters that move as fast and turn as quickly.
+After each change of the goal the point pauses and faces anywhere. Then it moves at a constant speed
+and faces as the goal asks, without an error. Its return bounds characters that have this speed and
+need this time to react.
 """
 
 from __future__ import annotations
+
+import math
 
 import torch
 from torch import Tensor
@@ -19,6 +21,7 @@ from isaacgymenvs_lite.tasks.goals.location import (
     LocationSettings,
     compute_location_reward,
 )
+from isaacgymenvs_lite.utils.rotations import quat_from_angle_axis
 
 POINTS, STEPS = 4096, 300
 DT_S = 1.0 / CONTROL_STEPS_PER_S
@@ -41,32 +44,32 @@ class Changes:
         return changed
 
 
-def facing_along(direction: Tensor) -> Tensor:
-    """Return the root rotations (n, 4) xyzw that face along unit vectors (n, 2)."""
-    half = torch.atan2(direction[:, 1], direction[:, 0]) / 2.0
-    zero = torch.zeros_like(half)
-    return torch.stack((zero, zero, half.sin(), half.cos()), dim=-1)
+def facing(direction: Tensor, is_random: Tensor) -> Tensor:
+    """Return rotations (n, 4) xyzw that face along vectors (n, 2), or anywhere if `is_random`."""
+    angle = torch.atan2(direction[:, 1], direction[:, 0])
+    anywhere = torch.empty_like(angle).uniform_(-math.pi, math.pi)
+    up = torch.tensor([0.0, 0.0, 1.0]).expand(len(angle), 3)
+    return quat_from_angle_axis(torch.where(is_random, anywhere, angle), up)
 
 
-def heading_return(speed_m_s: float, rest_s: float) -> float:
-    """Return the mean reward of `heading` for points that then also face as they are asked to."""
+def heading_return(speed_m_s: float, pause_s: float) -> float:
+    """Return the mean reward of `heading`, when the points face where they go."""
     cfg = HeadingSettings()
     changes = Changes(cfg.change_steps_min, cfg.change_steps_max)
     tar_speed = torch.empty(POINTS).uniform_(cfg.tar_speed_min, cfg.tar_speed_max)
     ahead, behind = torch.tensor([[1.0, 0.0]]).expand(POINTS, 2), torch.zeros(POINTS, 3)
     total = 0.0
     for _ in range(STEPS):
-        moves = (changes.age * DT_S >= rest_s).unsqueeze(-1)
-        now = torch.nn.functional.pad(ahead * moves * speed_m_s * DT_S, (0, 1))
-        # While a point rests, it faces aside on average.
-        rot = facing_along(torch.where(moves, ahead, ahead.flip(-1)))
+        pauses = changes.age * DT_S < pause_s
+        now = torch.nn.functional.pad(ahead * ~pauses.unsqueeze(-1) * speed_m_s * DT_S, (0, 1))
+        rot = facing(ahead, is_random=pauses)
         reward = compute_heading_reward(now, behind, rot, ahead, tar_speed, ahead, DT_S)
         total += reward.mean().item()
         changes.step()
     return total / STEPS
 
 
-def location_return(speed_m_s: float, rest_s: float) -> tuple[float, float]:
+def location_return(speed_m_s: float, pause_s: float) -> tuple[float, float]:
     """Return the mean reward of `location`, and the share of the points that are reached."""
     cfg = LocationSettings()
     changes = Changes(cfg.change_steps_min, cfg.change_steps_max)
@@ -77,10 +80,10 @@ def location_return(speed_m_s: float, rest_s: float) -> tuple[float, float]:
         offset = goal - pos[:, :2]
         distance = torch.linalg.vector_norm(offset, dim=-1, keepdim=True)
         direction = offset / distance.clamp(min=1e-9)
-        moves = (changes.age * DT_S >= rest_s).unsqueeze(-1)
-        step = torch.minimum(distance, torch.tensor(speed_m_s * DT_S)) * moves
+        pauses = changes.age * DT_S < pause_s
+        step = distance.clamp(max=speed_m_s * DT_S) * ~pauses.unsqueeze(-1)
         before, pos = pos, pos + torch.nn.functional.pad(direction * step, (0, 1))
-        rot = facing_along(torch.where(moves, direction, direction.flip(-1)))
+        rot = facing(direction, is_random=pauses)
         total += compute_location_reward(pos, before, rot, goal, cfg.tar_speed, DT_S).mean().item()
         left_m = torch.linalg.vector_norm(goal - pos[:, :2], dim=-1)
         changed = changes.step()
@@ -92,13 +95,13 @@ def location_return(speed_m_s: float, rest_s: float) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Print the returns by speed and by the time that a change takes."""
+    """Print the returns by speed and by pause."""
     torch.manual_seed(1)
-    for rest_s in (0.0, 0.5, 1.0):
+    for pause_s in (0.0, 0.5, 1.0):
         for speed in (1.0, 1.5, 2.0, 3.0):
-            found, reached = location_return(speed, rest_s)
+            found, reached = location_return(speed, pause_s)
             print(
-                f"{speed:g} m/s after {rest_s:g} s: heading {heading_return(speed, rest_s):.2f},"
+                f"{speed:g} m/s after {pause_s:g} s: heading {heading_return(speed, pause_s):.2f},"
                 f" location {found:.2f} (reached {reached:.2f})"
             )
 

@@ -26,8 +26,6 @@ _NETWORK = "train.params.network"
 # The values of other settings depend on these arguments. An argument with a comma belongs to a
 # sweep.
 _FILE_KEYS = ("task", "train", "rl_device")
-# Policies of these algorithms may have another train file than the task's own.
-_OTHERS = ("hrl", "amp_continuous")
 
 
 def playing_overrides(name: str) -> list[str]:
@@ -49,13 +47,11 @@ def playing_overrides(name: str) -> list[str]:
 
 
 def _files_of(info: PolicyInfo) -> list[str]:
-    """Return `task=`, and `train=` if the task's own train file is for another algorithm."""
-    algorithm = info.settings["train.params.algo.name"]
-    train = "HumanoidASEHRLPPO" if algorithm == "hrl" else f"{info.task}AMP"
-    files = [f"task={info.task}"]
-    if algorithm in _OTHERS and (cfg_dir() / "train" / f"{train}.yaml").is_file():
-        files.append(f"train={train}")
-    return files
+    """Return `task=`, and `train=` if the task's own train file may have another algorithm."""
+    others = {"hrl": "HumanoidASEHRLPPO", "amp_continuous": f"{info.task}AMP"}
+    train = others.get(info.settings["train.params.algo.name"], "")
+    has_file = (cfg_dir() / "train" / f"{train}.yaml").is_file()
+    return [f"task={info.task}", *([f"train={train}"] if has_file else [])]
 
 
 def complete_arguments(arguments: Sequence[str]) -> list[str]:
@@ -94,7 +90,7 @@ def inherited_settings(arguments: Sequence[str]) -> list[str]:
     info = read_policy_info(shipped_policies()[name])
     typed = {key: typed[key] for key in _FILE_KEYS if key in typed and "," not in typed[key]}
     own = [word for word in _files_of(info) if word.partition("=")[0] not in typed]
-    train = [word for word in own if word.startswith("train=")]  # The caller knows the task.
+    train = [word for word in own if word.startswith("train=")]  # The caller adds task=.
     try:
         tree = compose([*own, *(f"{key}={value}" for key, value in typed.items())])
     except ConfigError:  # The files are in a user's folder, or are missing.

@@ -52,7 +52,7 @@ def test_what_was_typed_wins(tiny):
 
 
 def test_a_policy_of_another_algorithm_brings_its_train_file_along():
-    """The task's own train file is for skills, and its settings are not those of a hierarchy."""
+    """The train file of HumanoidASE trains skills, and a hierarchy needs other settings."""
     typed = ["checkpoint=heading", "num_envs=2"]
     cfg = compose(complete_arguments(["test=True", *typed]))
     assert (cfg.task.name, cfg.train.params.config.llc_steps) == ("HumanoidASE", 5)
