@@ -1,7 +1,7 @@
 """Explains which names replace those names of IsaacGymEnvs' and ASE's agents that are missing here.
 
 A user's subclass may override a published method that this project never calls. The class statement
-of such a subclass raises an error. docs/migration.md lists all published names.
+of such a subclass raises an error that names the replacement.
 """
 
 from __future__ import annotations
@@ -94,10 +94,7 @@ class PublishedNames:
             if not inspect.isfunction(method) or name in called or "run" in defined:
                 continue
             if not argument or argument in inspect.signature(method).parameters:
-                raise OverrideError(
-                    f"{cls.__name__}.{published}: nothing calls it here; {instead}"
-                    " (docs/migration.md)"
-                )
+                raise OverrideError(f"{cls.__name__}.{published}: nothing calls it here; {instead}")
         for name in defined:
             for base in cls.__mro__:
                 if isinstance(constant := vars(base).get(name), ReadOnly):
@@ -110,9 +107,7 @@ class ExplainedNames(PublishedNames):
     def __getattr__(self, name: str) -> Any:
         instead = self.replaced.get(name) or self.replaced.get(f"{name}()")
         if instead:
-            raise OverrideError(
-                f"{type(self).__name__} has no {name}: {instead} (docs/migration.md)"
-            )
+            raise OverrideError(f"{type(self).__name__} has no {name}: {instead}")
         raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
 
 

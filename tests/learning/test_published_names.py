@@ -25,27 +25,11 @@ from isaacgymenvs_lite.learning.hrl_continuous import HRLAgent
 from isaacgymenvs_lite.learning.hrl_players import HRLPlayer
 from isaacgymenvs_lite.learning.published_names import PublishedNames
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
+from tests.learning.published_surface import MISSING, SAME
 from tests.learning.test_gen_amp import CONFIG, GEN_AMP
 from tests.learning.test_hrl import llc, overrides  # noqa: F401  a fixture
 
-MIGRATION = Path(__file__).parents[2] / "docs" / "migration.md"
 GEN = (*GEN_AMP, f"{CONFIG}.enc_grad_penalty=0.1")
-
-
-def read_table() -> dict[str, tuple[set[str], dict[str, str]]]:
-    """Return the table of docs/migration.md: our class -> same names, and name -> what instead."""
-    found: dict[str, tuple[set[str], dict[str, str]]] = {}
-    same, replaced = set[str](), dict[str, str]()
-    for line in MIGRATION.read_text().splitlines():
-        if heading := re.match(r"\*\*\S.*\*\* is `([\w.]+)`\. The same: (.*)\.$", line):
-            same, replaced = set(re.findall(r"`([^`]+)`", heading[2])), {}
-            found[heading[1]] = same, replaced
-        elif row := re.match(r"\| `([^`]+)` \| (?:instead|not here): (.*) \|$", line):
-            replaced[row[1]] = row[2]
-    return found
-
-
-TABLE = read_table()
 
 
 def class_of(ours: str) -> Any:
@@ -57,8 +41,7 @@ def class_of(ours: str) -> Any:
 
 
 def same_names(cls: type) -> set[str]:
-    own = [same for ours, (same, _) in TABLE.items() if class_of(ours) in cls.__mro__]
-    return set().union(*own)
+    return {name for ours in SAME if class_of(ours) in cls.__mro__ for name in SAME[ours].split()}
 
 
 def same_methods(cls: type) -> set[str]:
@@ -95,14 +78,9 @@ def make_own(make_runner) -> Callable[..., Any]:
     return make
 
 
-# --- the table ----------------------------------------------------------------------------------
-
-
-def test_what_the_table_calls_the_same_is_there():
-    # what people override most
-    assert {"_calc_disc_rewards", "_disc_loss_neg", "_preproc_amp_obs"} <= same_methods(AMPAgent)
-    for ours, (same, _) in TABLE.items():
-        for name in same:
+def test_what_is_the_same_is_there():
+    for ours, names in SAME.items():
+        for name in names.split():
             found: Any = class_of(ours)
             for part in name.removesuffix("()").split(".") if name.endswith("()") else ():
                 found = getattr(found, part)
@@ -329,14 +307,10 @@ def test_random_actions_of_ones_own(make_own, roll_out):
 
 
 def test_an_override_that_nothing_calls_is_refused():
-    names = [
-        (ours, name)
-        for ours, (_, replaced) in TABLE.items()
-        for name in replaced
-        if name.endswith(")")
-    ]
-    assert len(names) > 25
+    names = [(ours, name) for ours, names in MISSING.items() for name in names.split()]
     for ours, name in names:
+        if not name.endswith(")"):
+            continue
         method, _, argument = name.removesuffix(")").partition("(")
         scope: dict[str, Any] = {}
         exec(f"def {method}(self, {argument or 'anything'}=None): pass", scope)
