@@ -55,7 +55,7 @@ _SHOWN_EPISODES = 3
 _POSES_OF_A_STRIP = 8
 # The policies in the README, which come first in lists of policies.
 _BEST_FIRST = (
-    *("backflip", "spinkick", "g1_walk", "walk", "heading", "strike", "cartwheel", "run"),
+    *("backflip", "spinkick", "g1_walk", "walk", "heading", "strike", "reach", "cartwheel", "run"),
     *("g1_velocity", "franka_cabinet", "franka_cube_stack", "allegro_hand", "getup"),
     *("locomotion_skills", "anymal", "humanoid", "ant"),
 )
