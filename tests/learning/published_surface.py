@@ -97,7 +97,7 @@ SAME: dict[str, str] = {
     "hrl_network_builder.HRLBuilder.Network": "forward() eval_critic()",
 }
 
-# Our class -> published names that it lacks.
+# Our class -> published names that it lacks, of networks only methods.
 MISSING: dict[str, str] = {
     "common_agent.CommonAgent": """
         central_value_net use_experimental_cv env_reset(env_ids) running_mean_std
@@ -129,10 +129,9 @@ MISSING: dict[str, str] = {
         _build_actor_critic_net()
     """,
     "gen_amp_network_builder.StyleMLP": """
-        init_params() get_out_size() _build_style_mlp() _initializer _units _style_dim
-        _style_activation
+        init_params() get_out_size() _build_style_mlp()
     """,
     "gen_amp_network_builder.LatentMLP": """
-        init_params() get_out_size() _initializer _units
+        init_params() get_out_size()
     """,
 }
